@@ -90,7 +90,7 @@ def compared(library: ArmLibrary, scenario: Scenario, raw: Path) -> dict[str, fl
     """One arrangement by the library and by a full run, which is kept in ``raw``."""
     full = full_run(scenario, raw)
     began = time.process_time()
-    ours = simulate(scenario, library=library).transfer
+    ours = simulate(scenario, engine=library).transfer
     rendering = render_transfer(scenario, ours)
     account = account_of(scenario, ours, rendering)
     took = time.process_time() - began

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from typing import Annotated, Any, NoReturn
 
@@ -10,8 +11,21 @@ import typer
 from typer.core import TyperGroup
 
 from . import __version__
-from .commands import about, design, library, measured, new, pictures, predict, simulate, studies, study, workbench
-from .commands.common import console, print_error
+from .commands import (
+    about,
+    convert,
+    design,
+    library,
+    measured,
+    new,
+    pictures,
+    predict,
+    simulate,
+    studies,
+    study,
+    workbench,
+)
+from .commands.common import any_encoding, console, print_error
 from .errors import DataError, ForearmError
 from .interrupts import interrupts_heard
 
@@ -41,6 +55,7 @@ app = typer.Typer(
 for _command in (
     simulate.run, simulate.mesh, simulate.solve, simulate.render,
     measured.calibrate, measured.play, measured.loopback, measured.compare, measured.fit,
+    convert.convert,
     pictures.figures, pictures.show, workbench.workbench, predict.predict, predict.validate,
     studies.campaign, library.library, design.design, studies.verify,
     new.new, about.schema, about.doctor,
@@ -52,6 +67,8 @@ app.add_typer(study.app, name="study")
 def main() -> None:
     """Entry point: a known failure is one sentence and exit code 2, an interruption exit code 130."""
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    any_encoding()
+    os.environ["MPLBACKEND"] = "agg"  # pictures are written here: a notebook's backend may not even be installed
     try:
         with interrupts_heard() as pressed:
             code = app(standalone_mode=False)

@@ -39,8 +39,11 @@ class Brought:
     rest: dict[str, Any] = field(default_factory=lambda: REST)
 
     def scenario(self) -> dict[str, Any]:
-        """The scenario as data."""
-        return {**self.rest, "limb": self.limb}
+        """The scenario as data; a mesh brings its own sizes."""
+        sizes = dict(self.rest.get("mesh", {}))
+        if self.limb["shape"] == "mesh":
+            sizes = {k: v for k, v in sizes.items() if k not in ("size_grid", "size_far")}
+        return {**self.rest, "mesh": sizes, "limb": self.limb}
 
 
 def cells(

@@ -185,7 +185,7 @@ def test_a_language_that_is_not_there_is_said_before_anybody_is_enrolled(lab: Pa
 
 
 def test_a_lost_wavelet_is_said_before_a_run_solves(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("forearm_fem.pipeline.simulation.solve_layered", lambda *_, **__: pytest.fail("solved"))
+    monkeypatch.setattr("forearm_fem.engines.layered.solve_layered", lambda *_, **__: pytest.fail("solved"))
     (lab / "lost.toml").write_text(f"{SMALL}[rendering.wavelet]\nfile = 'lost.csv'\n")
     answer = cli("run", "lost.toml", "--out", "out", cwd=lab)
     assert (answer.code, "lost.csv" in answer.sentence) == (2, True)

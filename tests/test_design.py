@@ -57,7 +57,12 @@ class Waves:
     def __init__(self, most: int = 10**9) -> None:
         self.left = most
 
-    def compliance(self, scenario: Scenario) -> Compliance:
+    name = "waves"
+
+    def holds(self, scenario: Scenario) -> str:
+        return ""
+
+    def compliance(self, scenario: Scenario, frequency: np.ndarray) -> Compliance:
         self.left -= 1
         if self.left < 0:
             raise KeyboardInterrupt

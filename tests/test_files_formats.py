@@ -389,10 +389,10 @@ def test_thesis_file_of_ours_needs_no_declaration(tmp_path):
 @pytest.mark.skipif(not SKINSOURCE.is_dir(), reason="no files of SkinSource in ../shared/data/skinsource")
 def test_skinsource_by_the_recipe_in_the_docs():
     g = import_by_recipe(recipe_in_docs(), SKINSOURCE)
-    assert g.values.shape == (192, 9, 4)
+    assert g.values.shape == (961, 9, 4)
     files = [np.fromfile(SKINSOURCE / f"model-1-location-{k}.f32", "<f4") for k in (17, 18, 19, 20)]
     z = np.stack([f[522 * 72 * 2 :].reshape(72, 522)[[34, 25, 16, 33, 24, 15, 35, 26, 17]] for f in files])
-    by_hand = np.fft.fft(z, axis=2)[:, :, 9:201].transpose(2, 1, 0)
+    by_hand = np.fft.fft(z, n=2600, axis=2)[:, :, 40:1001].transpose(2, 1, 0)
     turn = np.exp(2j * np.pi * g.frequency * 65 / 1300) / -((2 * np.pi * g.frequency) ** 2)
     np.testing.assert_allclose(g.values, by_hand * turn[:, None, None], rtol=1e-5, atol=1e-12)
     assert 2.9 < np.linalg.cond(g.values).min() < np.linalg.cond(g.values).max() < 11.7

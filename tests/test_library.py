@@ -466,13 +466,13 @@ def test_answers_agree_with_finite_elements_of_the_same_slab(slab, library):
 
 
 def test_simulate_takes_a_library_and_says_what_is_unknown(slab, library):
-    result = simulate(slab, library=library)
+    result = simulate(slab, engine=library)
     assert result.mesh is None
     assert result.transfer.values.shape == (5, 2, 2)
     assert not np.isfinite(next(e.band for e in result.transfer.errors if e.source == "discretisation"))
     assert any(e.source == "truncation" and e.band > 0 for e in result.transfer.errors)
     second = replace(library, coarse=replace(library.fine, left=1.02 * library.fine.left))
-    errors = {e.source: e for e in simulate(slab, library=second).transfer.errors}
+    errors = {e.source: e for e in simulate(slab, engine=second).transfer.errors}
     assert 1e-3 < errors["discretisation"].band < 0.02  # 2 % on nodes twice as far apart, by at least order 1.85
 
 
@@ -546,7 +546,7 @@ def test_a_design_is_searched_on_a_library(library, asked_design, tmp_path):
     best = max((row for row in rows if not row["problem"]), key=lambda row: row["score"])
     contacts = json.dumps(best["values"]["device.contacts"])
     scenario = load_scenario(tmp_path / "slab.toml", overrides=[f"device.contacts={contacts}"])
-    transfer = simulate(scenario, library=library).transfer
+    transfer = simulate(scenario, engine=library).transfer
     with pytest.warns(AccuracyWarning, match="they are not driven"):  # five bins hold two thirds of a wavelet
         s = render_transfer(scenario, transfer).strengths[0]
     assert best["score"] == pytest.approx(s[1], rel=1e-6)  # the same G and renderer

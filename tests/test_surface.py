@@ -10,7 +10,12 @@ from cli_runner import SMALL as SHORT
 from cli_runner import cli
 
 from forearm_fem import Law, Simulation, load_scenario, read, render, simulate
+from forearm_fem.engines.engine import Engine
+from forearm_fem.engines.layered import LayeredEngine
+from forearm_fem.engines.solved import FemEngine
 from forearm_fem.errors import DataError, ScenarioError
+from forearm_fem.prediction.arm import LayeredArm
+from forearm_fem.questions.design.arm import TwinArm
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.shipped import contents, law_files, named_files
 from forearm_fem.tissue import SpringPot, Zener, resolve_tissues
@@ -33,6 +38,24 @@ class Loudest:
 
     def aim(self, placed, target, wavelet):
         return Aim(self.volts * np.repeat(wavelet[:, None], len(placed.inputs), axis=1), np.ones(len(wavelet), bool))
+'''
+ENGINE = '''
+from dataclasses import replace
+
+from forearm_fem.engines.layered import LayeredEngine
+
+
+class Softer:
+    """The layered model, twice as soft; no more than 300 Hz."""
+
+    name = "twice as soft"
+
+    def holds(self, scenario):
+        return "" if scenario.sweep.f_max <= 300 else "sweep.f_max: this engine ends at 300 Hz; lower it"
+
+    def compliance(self, scenario, frequency):
+        found = LayeredEngine().compliance(scenario, frequency)
+        return replace(found, values=2 * found.values)
 '''
 LAW = '''
 from dataclasses import dataclass
@@ -60,6 +83,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("user")
     (folder / "mine.py").write_text(RENDERER)
     (folder / "law.py").write_text(LAW)
+    (folder / "soft.py").write_text(ENGINE)
     (folder / "small.toml").write_text(SMALL)
     return folder
 
@@ -129,6 +153,28 @@ def test_a_tissue_law_of_one_s_own_gives_the_g_of_the_same_law(home: Path, simul
     scenario = load_scenario(home / "lawful.toml")
     assert isinstance(resolve_tissues(scenario)["skin"].modulus, Law)
     np.testing.assert_allclose(simulate(scenario).transfer.values, simulation.transfer.values, rtol=1e-9)
+
+
+def test_an_engine_of_one_s_own_answers_for_a_scenario(home: Path, simulation: Simulation, tmp_path: Path):
+    """Under forces skin twice as soft moves twice as far; what the engine does not hold is refused in its words."""
+    forces = SHORT.replace('engine = "layered"', 'engine = "soft:Softer"') + '\n[device]\ndrive = "force"\n'
+    (home / "soft.toml").write_text(forces)
+    scenario = load_scenario(home / "soft.toml")
+    layered = simulate(scenario.changed({"engine": "layered"})).transfer.values
+    np.testing.assert_allclose(simulate(scenario).transfer.values, 2 * layered, rtol=1e-12)
+    assert cli("solve", home / "soft.toml", "--out", tmp_path / "out").code == 0
+    with pytest.raises(ScenarioError, match="ends at 300 Hz"):
+        simulate(scenario.changed({"sweep.f_max": 400.0}))
+
+
+@pytest.mark.parametrize("engine", [LayeredEngine(), FemEngine(), TwinArm(), LayeredArm()])
+def test_engines_are_engines(engine: Engine):
+    """One protocol: each says its name and what it holds; layers are what three of four need."""
+    scenario = load_scenario("quick")
+    assert engine.name
+    assert engine.holds(scenario) == ""
+    taped = scenario.changed({"tissues.patch.mass": 0.3})
+    assert bool(engine.holds(taped)) == (engine.name != "fem")
 
 
 def test_a_law_that_was_edited_is_another_question(home: Path):

@@ -64,7 +64,12 @@ class Stand:
                 raise GeometryError("off the patch")
         return found
 
-    def compliance(self, scenario: Scenario) -> Compliance:
+    def holds(self, scenario: Scenario) -> str:
+        return ""
+
+    name = "stand"
+
+    def compliance(self, scenario: Scenario, frequency: np.ndarray | None = None) -> Compliance:
         ports, f = self.ports(scenario), frequencies(scenario.sweep)
         at = np.array([p.position[:2] for p in ports])
         away = np.linalg.norm(at[:, None] - at[None], axis=2)
@@ -72,7 +77,7 @@ class Stand:
         difference = 2e-5 * np.exp(-((f / 200) ** 2) - 1j * f / 100)[:, None, None] * np.outer(smooth, smooth)
         return Compliance(f, sent(f, away, scenario.device.cone.radius) + difference, ports)
 
-    def solved(self, scenario: Scenario) -> Solved:
+    def solved(self, scenario: Scenario, frequency: np.ndarray | None = None) -> Solved:
         found = self.compliance(scenario)
         empty = np.zeros((0, 3, 0)), np.zeros((len(found.frequency), 0, 0), dtype=complex)
         return Solved(found, None, None, *empty, SolutionRecord(solver="library"), ())

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import codecs
 import glob
+import io
 import shlex
 import signal
+import sys
 import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -25,6 +28,26 @@ if TYPE_CHECKING:
     from ..files.declaration import Declaration
     from ..pipeline.folder import Run
     from ..transfer import TransferMatrix
+
+
+_PLAIN = {"≤": "<=", "≥": ">=", "←": "<-", "→": "->", "µ": "u", "μ": "u", "±": "+-", "°": " deg", "–": "-", "—": "-",
+          "−": "-", "×": "x", "²": "^2", "³": "^3", "·": "*", "…": "...", "“": '"', "”": '"', "’": "'", "ω": "omega",
+          "•": "*", "━": "-", "╸": "-", "╺": "-", "─": "-", "│": "|", "∞": "inf", "≈": "~", "√": "sqrt"}  # fmt: skip
+
+
+def _in_ascii(problem: UnicodeError) -> tuple[str, int]:
+    """Other characters for what an encoding of the terminal or pipe does not have."""
+    assert isinstance(problem, UnicodeEncodeError)
+    told = "".join(_PLAIN.get(c, "?") for c in problem.object[problem.start : problem.end])
+    return told.encode(problem.encoding, "replace").decode(problem.encoding), problem.end
+
+
+def any_encoding() -> None:
+    """Let stdout and stderr say everything, whatever their encoding: cp1252 of a pipe on Windows, or ASCII."""
+    codecs.register_error("forearm_fem", _in_ascii)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="forearm_fem")
 
 
 def there(remedy: str, folder: bool = False) -> Callable[[Path | None], Path | None]:
@@ -122,7 +145,7 @@ def stage(
             job = Run.start(asked, folder, file.parent, display)
             job.asked = asked_words(file, overrides, library)
             if kept is not None:
-                job.library = kept
+                job.engine = kept
                 job.notes.append(f"{library}: answers in place of a solve; mesh and solver keys have no effect")
                 job.notes.append("library: the limb acts on each disc's net force; what it does to a disc held against "
                                  "tilt and slide is the flat twin's, and its error is stated as contact")

@@ -72,7 +72,7 @@ def mesh(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = N
     asked = load_scenario(scenario, overrides=overrides or ())
     with stage(asked, scenario, out, run_mesh, overrides) as job:
         _print_forecast(asked, _expected(asked, scenario.parent))
-        if asked.engine != "layered":
+        if asked.engine == "fem":
             typer.echo(f"mesh: {job.out / 'mesh.vtu'}")
 
 
@@ -154,7 +154,7 @@ def _print_answer(job: Run) -> None:
 
 def _expected(asked: Scenario, base: Path, display: Display | None = None) -> Forecast | None:
     """What the solve will cost, on the mesh, which is made if need be; None for the layered engine."""
-    if asked.engine == "layered":
+    if asked.engine != "fem":
         return None
     from ..engines.forecast import forecast
     from ..geometry.cache import cached_mesh

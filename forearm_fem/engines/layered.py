@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,29 @@ from ..transfer import Compliance
 from ..typing import ComplexArray, FloatArray
 
 _TOLERANCE = 1e-7  # of the quadrature and of the interpolation in frequency: far below what rigid contacts leave
+_NO_PATCH = (
+    "tissues.patch: engine = 'layered' has no edges on the skin; use engine = 'fem', or cover all of the skin "
+    "by tissues.membrane"
+)
 _LEFT_OUT = "curvature, bones, supports, sides and ends are left out: what they change, only engine = fem can tell"
+
+
+@dataclass(frozen=True)
+class LayeredEngine:
+    """Flat layers without end, semi-analytic: seconds, and no mesh."""
+
+    progress: Progress | None = None
+    name: str = "layered"
+
+    def holds(self, scenario: Scenario) -> str:
+        """See :class:`.Engine`: limbs of layers, without tape."""
+        if isinstance(scenario.limb, MeshLimb | SurfacesLimb):
+            return _no_layers(scenario)
+        return _NO_PATCH if scenario.tissues.patch.is_on else ""
+
+    def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
+        """See :class:`.Engine`."""
+        return solve_layered(scenario, frequency, progress=self.progress)
 
 
 def solve_layered(
@@ -96,10 +118,7 @@ def flat_surface(tissues: Tissues) -> Surface:
     """
     membrane = tissues.membrane
     if tissues.patch.is_on:
-        raise ScenarioError(
-            "tissues.patch: engine = 'layered' has no edges on the skin; use engine = 'fem', or cover all of the skin "
-            "by tissues.membrane"
-        )
+        raise ScenarioError(_NO_PATCH)
     return Surface(membrane.tension, 4 * membrane.stiffness, membrane.mass, 4 * membrane.viscosity)
 
 

@@ -37,7 +37,7 @@ from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray
 from ..user_cache import default_cache_dir
 from .fem import fem_model, masked
-from .skin_model import check_followable, coefficients_of, with_scenario
+from .skin_model import check_followable, coefficients_of, unfollowed, with_scenario
 from .solved import solve_key
 
 _MODEL = "model"  # the key of the finished one
@@ -113,6 +113,16 @@ class ParametricModel:
     checks: tuple[TrialSolve, ...]
     solves: int
     around: GridPlaces | None = None
+
+    @property
+    def name(self) -> str:
+        """See :class:`.Engine`."""
+        return "parametric"
+
+    def holds(self, scenario: Scenario) -> str:
+        """See :class:`.Engine`: scenarios that differ in what the model's terms can follow."""
+        grid = {"grid"} if self.follows(scenario) else set()
+        return unfollowed(self.scenario, scenario, self.names, unread={*_UNREAD, *grid})
 
     @property
     def names(self) -> tuple[str, ...]:

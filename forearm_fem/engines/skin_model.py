@@ -156,30 +156,37 @@ def load_skin_model(path: str | Path) -> SkinModel:
 
 
 def check_followable(before: Scenario, after: Scenario, terms: Sequence[str], *, unread: Collection[str] = ()) -> None:
-    """Raise ScenarioError where a reduced model of ``terms``, made for one scenario, cannot answer for the other.
+    """Raise ScenarioError with the sentence of :func:`unfollowed`."""
+    if reason := unfollowed(before, after, terms, unread=unread):
+        raise ScenarioError(reason)
+
+
+def unfollowed(before: Scenario, after: Scenario, terms: Sequence[str], *, unread: Collection[str] = ()) -> str:
+    """Why a reduced model of ``terms``, made for one scenario, cannot answer for the other; empty where it can.
 
     Keys that are ``unread`` by the caller may differ, too.
     """
     for key in type(before).model_fields:
         if key not in _MAY_CHANGE and key not in unread and getattr(before, key) != getattr(after, key):
-            raise ScenarioError(f"{key}: the reduced model holds for the old value only; solve the scenario anew")
+            return f"{key}: the reduced model holds for the old value only; solve the scenario anew"
     if _places(before) != _places(after):
-        raise ScenarioError("device: contacts and cones are part of the reduced model; solve the scenario anew")
+        return "device: contacts and cones are part of the reduced model; solve the scenario anew"
     if before.device.actuator != after.device.actuator:  # a preset fills in keys left out; in a run none is left
-        raise ScenarioError(
+        return (
             "device.actuator: the run has settled all keys that a preset sets; change these themselves, or solve the "
             "scenario anew"
         )
     old, new = resolve_tissues(before), resolve_tissues(after)
     for name, tissue in old.items():
         if name in new and new[name].bulk != tissue.bulk:
-            raise ScenarioError(f"tissues.override.{name}: {_NOT_AFFINE}")
+            return f"tissues.override.{name}: {_NOT_AFFINE}"
     if missing := [name for name, value in _sheets(after).items() if value and name not in terms]:
         key = "patch" if missing[0].startswith("patch") else "membrane"
-        raise ScenarioError(f"tissues.{key}: the reduced model has no {missing[0]}; solve the scenario anew")
+        return f"tissues.{key}: the reduced model has no {missing[0]}; solve the scenario anew"
     patch, other = before.tissues.patch, after.tissues.patch
     if other.is_on and (patch.length, patch.width) != (other.length, other.width):
-        raise ScenarioError("tissues.patch: its size is part of the reduced model; solve the scenario anew")
+        return "tissues.patch: its size is part of the reduced model; solve the scenario anew"
+    return ""
 
 
 def _sheets(scenario: Scenario) -> dict[str, float]:

@@ -17,9 +17,12 @@ from ..errors import ForearmError
 from ..fem.assembly.boundary import edge_middles
 from ..fem.kernels.compiled import freed_memory_kept
 from ..fem.reduction.basis import Basis
+from ..fem.reduction.compile_ahead import start_compiling
 from ..fem.reduction.expansion import Expansion
 from ..fem.reduction.rate_space import Chunk, Pairs
+from ..geometry.cache import cached_mesh
 from ..geometry.device.place import place_ports
+from ..geometry.mesh.quality import Resolution
 from ..geometry.mesh.subdivision import skin_edges
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..progress import Progress, tell, within
@@ -34,6 +37,7 @@ from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
 from ..user_cache import default_cache_dir
 from .fem import FemSolution, freed_ends, other_ends, reduction_tolerance, second_compliance, solve_fem
+from .forecast import forecast, refuse_if_too_large
 from .second_mesh import second_mesh
 from .skin_model import ReducedFile, SkinModel
 
@@ -46,7 +50,8 @@ class Solved:
     the same mesh, ``other_ends`` other ends on the second one at a few frequencies (None where not asked). ``unknown``
     are the estimates that were not asked for or could not be made. ``modes`` (n_point, 3, r) and ``states``
     (n_frequency, r, n_contact) rebuild the wavefield at the mesh vertices per unit contact force; empty for a direct
-    sweep. ``facts`` are for the record; ``skin`` is the reduced model without its modes.
+    sweep. ``facts`` are for the record; ``skin`` is the reduced model without its modes. ``mesh`` is the one solved on,
+    ``resolution`` how finely it carries the shortest waves, and ``notes`` are sentences about that.
     """
 
     compliance: Compliance
@@ -58,6 +63,39 @@ class Solved:
     unknown: tuple[ErrorEstimate, ...] = ()
     skin: SkinModel | None = None
     other_ends: Compliance | None = None
+    mesh: TissueMesh | None = None
+    notes: tuple[str, ...] = ()
+    resolution: tuple[Resolution, ...] = ()
+
+
+@dataclass(frozen=True)
+class FemEngine:
+    """Finite elements on the scenario's ``mesh``, made where it is None; user files are seen from ``base``."""
+
+    base: Path = Path(".")
+    mesh: TissueMesh | None = None
+    progress: Progress | None = None
+    name: str = "fem"
+
+    def holds(self, scenario: Scenario) -> str:
+        """See :class:`.Engine`: any limb; what meshing finds is raised as it is found."""
+        return ""
+
+    def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
+        """See :class:`.Engine`."""
+        return self.solved(scenario, frequency).compliance
+
+    def solved(self, scenario: Scenario, frequency: FloatArray) -> Solved:
+        """See :class:`.SolvingEngine`; SolverError where the solve would pass ``solver.memory_limit``."""
+        mesh = self.mesh
+        if mesh is None:
+            start_compiling()
+            mesh = cached_mesh(scenario, base=self.base)
+        expected = forecast(scenario, base=self.base, mesh=mesh)
+        refuse_if_too_large(expected, scenario)
+        found = solve(scenario, mesh, frequency, base=self.base, progress=self.progress)
+        said = expected.sentences(float(frequency[-1]))
+        return replace(found, mesh=mesh, notes=said, resolution=expected.resolution)
 
 
 @freed_memory_kept()

@@ -158,7 +158,7 @@ NEEDS = (
     Need("sign", declare("sign", "'+iwt'"), "'-iwt'", _silent("sign")),
     Need("spectrum", declare("spectrum", "'one-sided'"), "'two-sided'", _silent("spectrum")),
     Need("axes", declare("axes", "['output', 'input', 'frequency']"), "", _axes_open),
-    Need("sample_rate", declare("sample_rate", "10000"), "frequency_variable", _frequency_open),
+    Need("sample_rate", declare("sample_rate", "10000"), "frequency_variable or frequency_file", _frequency_open),
     Need("ports", "--scenario FILE", "", lambda raw, said, ports: ports is None),
 )
 

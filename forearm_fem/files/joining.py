@@ -177,8 +177,9 @@ def estimated(named: Sequence[Named], said: Declaration, scenario: Scenario, por
     What a calibration says of its recordings is said as warnings.
     """
     from ..measurement.entry import assemble, entry  # of hardware, which few need
+    from ..measurement.sweep import ExponentialSweep
 
-    options, band = scenario.measurement, scenario.sweep
+    options, band = scenario.measurement, ExponentialSweep.of(scenario)
     entries, known = [], ({p.name for p in ports[0]}, {p.name for p in ports[1]})
     for name in named:
         drive, response = channels_of(name.file, said)

@@ -157,7 +157,8 @@ def read_table(file: Path) -> Table:
         rows = numbered_rows(lines[start:], separator, start + 1)
     except csv.Error as problem:
         raise DataError(f"{file}: is no table ({problem}); is it really CSV?") from None
-    if rows and not own and _all_numbers(rows[0][1]):  # numpy.savetxt writes the header as a comment
+    # numpy.savetxt writes the header as a comment
+    if rows and not own and any(_is_number(c.strip()) for c in rows[0][1]):
         rows = [*_commented_header(lines[:start], separator, len(rows[0][1])), *rows]
     if len(rows) < 2:
         raise DataError(f"{file}: has no lines of data; expected a header and one line per frequency and entry")

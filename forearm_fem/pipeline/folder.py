@@ -15,6 +15,7 @@ from .. import __version__
 from ..accuracy.estimates import accuracy_verdict
 from ..device import contact_state
 from ..device.housing import carries_points
+from ..engines.engine import Engine
 from ..engines.forecast import refuse_if_signals_too_large
 from ..engines.resources import Ledger
 from ..engines.skin_model import save_skin_model
@@ -66,7 +67,7 @@ from ..transfer import TransferMatrix
 from ..wavefield import Wavefield, save_wavefield
 from .notes import scene_notes
 from .samples import check_samples
-from .simulation import AnswersForArm, Simulation, simulate, versions
+from .simulation import Simulation, simulate, versions
 
 __all__ = ["Run", "check_rendering", "run_all", "run_given", "run_mesh", "run_render", "run_solve"]
 
@@ -86,7 +87,7 @@ class Run:
 
     scenario, out, base : what was asked, where it goes, where files in the scenario are seen from
     ledger, notes : what it costs, what must be said
-    library : answers in place of a solve
+    engine : answers in place of the scenario's
     transfer, simulation : G, and what it was solved with (None: a G that was there before)
     mesh, solution : on record of the solve
     rendering, account : drives and displacements; S with its intervals
@@ -99,7 +100,7 @@ class Run:
     progress: Progress | None
     ledger: Ledger
     notes: list[str]
-    library: AnswersForArm | None = None
+    engine: Engine | None = None
     transfer: TransferMatrix | None = None
     simulation: Simulation | None = None
     mesh: MeshRecord = field(default_factory=MeshRecord)
@@ -192,7 +193,7 @@ def check_rendering(scenario: Scenario, base: Path) -> None:
 def run_mesh(run: Run) -> TissueMesh | None:
     """Make or find the mesh and write ``mesh.vtu``; None for the layered engine and a library, which need none."""
     check_kind(run.out, "run")
-    if run.scenario.engine == "layered" or run.library is not None:
+    if run.scenario.engine != "fem" or run.engine is not None:
         return None
     start_compiling()
     with run.stage("mesh"):
@@ -224,7 +225,7 @@ def _solved(run: Run) -> TransferMatrix:
     refuse_other_g(run.out / "transfer.nc", measured=False)
     mesh = run_mesh(run)
     with run.stage("solve"):
-        found = simulate(run.scenario, base=run.base, progress=run.progress, mesh=mesh, library=run.library)
+        found = simulate(run.scenario, base=run.base, progress=run.progress, mesh=mesh, engine=run.engine)
         run.simulation, run.transfer = found, found.transfer
         run.notes += found.notes
     with run.stage("write"):
@@ -271,7 +272,7 @@ def _remove_older(run: Run) -> None:
     if before == run.scenario.model_dump(mode="json"):
         return
     stale = [n for n in _DERIVED if (run.out / n).is_file()]
-    stale += ["mesh.vtu"] if run.scenario.engine == "layered" and (run.out / "mesh.vtu").is_file() else []
+    stale += ["mesh.vtu"] if run.scenario.engine != "fem" and (run.out / "mesh.vtu").is_file() else []
     if (figures := run.out / "figures").is_dir():
         from ..show import kinds  # plotting is heavy, and most folders are new
 

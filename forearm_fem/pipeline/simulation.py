@@ -7,18 +7,16 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from .. import __version__
 from ..accuracy.discretisation import discretisation_of
 from ..accuracy.truncation import combined_truncation_error, freed_ends_error, other_ends_error
 from ..device import close_loop
-from ..engines.forecast import forecast, refuse_if_too_large
-from ..engines.layered import flat_notes, solve_layered
-from ..engines.solved import Solved, solve
+from ..engines.engine import Engine, SolvingEngine, engine_of, refuse_unheld
+from ..engines.layered import LayeredEngine, flat_notes
+from ..engines.solved import Solved
 from ..errors import ScenarioError
-from ..fem.reduction.compile_ahead import start_compiling
-from ..geometry.cache import cached_mesh
 from ..geometry.mesh.quality import Resolution
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..progress import Progress
@@ -90,47 +88,35 @@ class Simulation:
         self.transfer.save(path)
 
 
-class AnswersForArm(Protocol):
-    """What stands in place of a solve: an arm's library."""
-
-    def solved(self, scenario: Scenario) -> Solved:
-        """Compliance of the scenario's contacts and points, with what its errors follow from."""
-        ...
-
-
 def simulate(
     scenario: Scenario,
     *,
     base: str | Path = ".",
     progress: Progress | None = None,
     mesh: TissueMesh | None = None,
-    library: AnswersForArm | None = None,
+    engine: Engine | None = None,
 ) -> Simulation:
     """G of ``scenario`` in m per volt (or per newton, per metre) with an error estimate per source.
 
-    A ``library`` of the scenario's arm takes the place of mesh and solve (:mod:`forearm_fem.engines.library`).
-    ``base`` is the folder that user files in the scenario refer to, also the wavelet's that :func:`render` reads.
-    Raises a :class:`ForearmError` for whatever cannot be built or solved.
+    An ``engine``, such as the arm's library (:mod:`forearm_fem.engines.library`), takes the place of the one that the
+    scenario names. ``mesh`` is what finite elements are to use. ``base`` is the folder that user files in the scenario
+    refer to, also the wavelet's that :func:`render` reads. Raises a :class:`ForearmError` for whatever cannot be built
+    or solved.
     """
     if not isinstance(scenario, Scenario):
         raise ScenarioError(f"expected a Scenario, got {scenario!r}; read it first: load_scenario(NAME_OR_FILE)")
     frequency = frequencies(scenario.sweep)
     resolve_tissues(scenario)  # what they lack is said before anything is meshed
-    if library is not None:
-        found = with_device(scenario, None, library.solved(scenario))
-    elif scenario.engine == "layered":
-        compliance = solve_layered(scenario, frequency, progress=progress)
-        transfer = finite(close_loop(compliance, scenario.device))
-        found = Simulation(scenario, None, compliance, transfer, notes=flat_notes(compliance))
+    engine = engine or engine_of(scenario, base=Path(base), mesh=mesh, progress=progress)
+    refuse_unheld(engine, scenario)
+    if isinstance(engine, SolvingEngine):
+        solved = engine.solved(scenario, frequency)
+        found = with_device(scenario, solved.mesh, solved)
     else:
-        if mesh is None:
-            start_compiling()
-            mesh = cached_mesh(scenario, base=Path(base))
-        expected = forecast(scenario, base=Path(base), mesh=mesh)
-        refuse_if_too_large(expected, scenario)
-        result = with_device(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
-        notes = *expected.sentences(float(frequency[-1])), *result.notes
-        found = replace(result, notes=notes, resolution=expected.resolution)
+        compliance = engine.compliance(scenario, frequency)
+        notes = flat_notes(compliance) if isinstance(engine, LayeredEngine) else (f"engine: {engine.name}",)
+        transfer = finite(close_loop(compliance, scenario.device))
+        found = Simulation(scenario, None, compliance, transfer, notes=notes)
     said = {**found.transfer.provenance, **provenance(found)}
     return replace(found, transfer=replace(found.transfer, provenance=said), base=Path(base))
 
@@ -174,8 +160,10 @@ def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> 
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
     unknown = tuple(f"the error by {e.source} is unknown: {e.method}" for e in solved.unknown)
     near = near_disc_notes(scenario) if mesh is not None else ()
-    notes = (*unknown, *model_notes(solved.facts), *near)
-    return Simulation(scenario, mesh, solved.compliance, transfer, coarse, solved, notes)
+    notes = (*solved.notes, *unknown, *model_notes(solved.facts), *near)
+    return Simulation(
+        scenario, mesh, solved.compliance, transfer, coarse, solved, notes, resolution=solved.resolution
+    )
 
 
 def render(simulation: Simulation, *, progress: Progress | None = None) -> Rendering:

@@ -13,9 +13,10 @@ import numpy as np
 
 from ..accuracy.estimates import quadrature_estimate
 from ..engines.arm_meshes import ArmMeshes, arm_meshes
-from ..engines.layered import flat_disc, flat_layers, flat_ports, flat_surface
+from ..engines.engine import Engine
+from ..engines.layered import LayeredEngine, flat_disc, flat_layers, flat_ports, flat_surface
 from ..engines.parametric import ParametricModel, parametric_model, reciprocal
-from ..errors import ForearmError
+from ..errors import ForearmError, ScenarioError
 from ..fem.reduction.poles import chebyshev_frequencies
 from ..layered import layered_compliance
 from ..metrics import smooth_noise
@@ -23,6 +24,7 @@ from ..progress import Progress, within
 from ..scenario import Scenario
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
+from ..usercode import is_code
 
 _TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)  # a third of the time of the twin's own; what it costs is stated per draw
 _OF_CHANGE = (1e-2, 3)  # tolerance and terms for what geometry changes: 5e-5 of it apart, in two thirds of the time
@@ -47,13 +49,8 @@ class Answer:
     shown: frozenset[str] = frozenset()
 
 
-class ArmModel(Protocol):
-    """Compliance of any draw, with its error. A draw is a :class:`Scenario` (:func:`.draws.scenario_of`)."""
-
-    @property
-    def name(self) -> str:
-        """For the report, e.g. "layered twin"."""
-        ...
+class ArmModel(Engine, Protocol):
+    """An engine for draws of an arm; a draw is a :class:`Scenario` (:func:`.draws.scenario_of`)."""
 
     @property
     def held(self) -> frozenset[str]:
@@ -68,10 +65,6 @@ class ArmModel(Protocol):
     @property
     def unknown(self) -> str:
         """What of an answer's error could not be estimated and is in no band, in a sentence; empty where nothing."""
-        ...
-
-    def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
-        """Of the ports of ``scenario`` at ``frequency`` (n,) [Hz], with an estimate per source of error."""
         ...
 
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
@@ -96,6 +89,10 @@ class LayeredArm:
     def name(self) -> str:
         """See :class:`ArmModel`."""
         return "layered twin"
+
+    def holds(self, scenario: Scenario) -> str:
+        """See :class:`.Engine`: as the layered model."""
+        return LayeredEngine().holds(scenario)
 
     @property
     def held(self) -> frozenset[str]:
@@ -169,6 +166,10 @@ class ReducedArm:
     def name(self) -> str:
         """See :class:`ArmModel`."""
         return "parametric finite elements, geometry by the twin"
+
+    def holds(self, scenario: Scenario) -> str:
+        """See :class:`.Engine`: what the reduced terms can follow, on the mesh of its scene."""
+        return self.model.holds(on_mesh_of(self.scenario, scenario))
 
     @property
     def held(self) -> frozenset[str]:
@@ -317,6 +318,11 @@ def arm_model(
     Finite elements for a scene of finite elements, made from ``draws`` like those that will be asked and kept in the
     cache; the layered twin for the others, and where ``twin`` asks for it. Raises what solving the scenario raises.
     """
+    if is_code(scenario.engine) and not twin:
+        raise ScenarioError(
+            "engine: arms are drawn on finite elements or on the layered model, not on an engine of your own; set "
+            "engine = 'layered'"
+        )
     if scenario.engine == "layered" or twin:
         return LayeredArm(scenario.engine == "fem")
     known = [on_mesh_of(scenario, d) for d in draws]

@@ -11,6 +11,9 @@ from ..errors import DataError
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
 
 _ON_BIN = 1e-3  # of the bin spacing: further off, a sample is not on its bin
+_PRINTED, _FARTHEST = 6, 0.05  # digits that programs print of a frequency; of the bin spacing, what these may be off
+_EVEN = 0.01  # of the spacing: how far it may differ from bin to bin
+_NOISE, _ALIKE = 0.1, 2.5  # of the values' size, noise; how much larger misses at twice the spacing are, at most
 _SHORTEST = 8  # samples: fewer leave no way to judge a spline
 
 
@@ -43,7 +46,8 @@ def filled_in(
     shape = (len(index), values.shape[1])
     out, on = np.zeros(shape, dtype=complex), np.zeros(shape, dtype=bool)
     nearest = np.rint(place).astype(int)
-    rows = np.nonzero((np.abs(place - nearest) < _ON_BIN) & np.isin(nearest, index))[0]
+    slack = np.clip(_slack(place * df) / df, _ON_BIN, _FARTHEST)
+    rows = np.nonzero((np.abs(place - nearest) < slack) & np.isin(nearest, index))[0]
     copied = nearest[rows] - index[0]
     open_bins = np.delete(index, copied)
     if options.enabled and len(open_bins):
@@ -55,6 +59,12 @@ def filled_in(
                 out[target], on[target] = CubicSpline(place[run], known)(inside), True
     out[copied], on[copied] = values[rows], valid[rows]
     return out, on
+
+
+def _slack(frequency: FloatArray) -> FloatArray:
+    """How far [Hz] a sample of ``frequency`` (n,) [Hz] may be off its bin: what six printed digits leave off."""
+    digit = 10.0 ** (np.floor(np.log10(np.maximum(frequency, 1e-300))) - (_PRINTED - 1))
+    return np.asarray(0.51 * digit)
 
 
 def _runs(place: FloatArray, valid: BoolArray, gap: float) -> list[tuple[IntArray, IntArray]]:
@@ -87,10 +97,28 @@ def _judge(place: FloatArray, values: ComplexArray, bins: IntArray, df: float, t
     size = np.maximum(np.abs(values[odd]).max(axis=1), np.finfo(float).tiny)
     error = np.abs(miss).max(axis=1) / size / 8
     worst = int(np.argmax(error))
-    if error[worst] > tolerance:
+    if error[worst] > tolerance and not _noisy(place, values, odd, miss):
         at = odd[worst]
+        step = float(np.median(np.diff(place))) * df
+        even = bool(np.abs(np.diff(place) * df / step - 1).max() < _EVEN)
+        record = f"a record whose bins lie on them, sweep.duration = {1 / step:.6g}," if even else "even frequencies"
         raise DataError(
             f"samples of G near {place[at] * df:.4g} Hz are {(place[at + 1] - place[at]) * df:.3g} Hz apart: "
-            f"interpolating them would err by about {error[worst]:.1%}, allowed {tolerance:.1%}; "
-            "give G on more frequencies, or on even ones (sweep.duration, not sweep.frequencies)"
+            f"interpolating them would err by about {error[worst]:.1%}, allowed {tolerance:.1%}; give {record} or G on "
+            "more frequencies (responses in time: fill up with zeros, time.length in a recipe)"
         )
+
+
+def _noisy(place: FloatArray, values: ComplexArray, odd: IntArray, miss: ComplexArray) -> bool:
+    """Whether ``miss`` (n, m) of every other sample is noise: no course between samples, but what they scatter by.
+
+    Noise is as large whatever samples are left out, while a spline of twice the spacing errs by up to 16 times as much
+    in what it follows. It is small beside the values; a response that is sampled too seldom is missed by all of them.
+    """
+    used = odd[(odd >= 2) & (odd < len(place) - 2)]
+    if len(used) < _SHORTEST or len(place) < 4 * _SHORTEST:
+        return False
+    coarse = CubicSpline(place[::4], values[::4])(place[used]) - values[used]
+    fine = float(np.median(np.abs(miss)))
+    size = float(np.median(np.abs(values)))
+    return fine < _NOISE * size and float(np.median(np.abs(coarse))) < _ALIKE * fine

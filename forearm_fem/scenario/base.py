@@ -176,8 +176,12 @@ class Part(BaseModel):
         for key, text in _texts(data) if isinstance(data, Mapping) else ():
             if len(text) > LONGEST_TEXT:
                 raise ValueError(f"{key}: expected a text of at most {LONGEST_TEXT} characters, got {len(text)}")
-            if any(not c.isprintable() and c not in "\n\t" for c in text):
-                raise ValueError(f"{key}: expected text without control characters; retype it")
+            path = re.match(r"^[A-Za-z]:", text)  # of Windows, whose \t and \n were no blanks
+            if any(not c.isprintable() and (path or c not in "\n\t") for c in text):
+                raise ValueError(
+                    f"{key}: expected text without control characters; within double quotes of TOML \\ begins an "
+                    "escape: write paths with /, or in single quotes"
+                )
         return data
 
 

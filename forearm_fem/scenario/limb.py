@@ -124,7 +124,7 @@ class SurfacesLimb(Part):
 
     shape: Literal["surfaces"] = Field("surfaces", description="closed surfaces from files, one per tissue")
     surfaces: dict[str, str] = Field(
-        description="tissue -> STL/OBJ/PLY file, relative to the scenario, from the outside inwards; 'bone' is a bone"
+        description="tissue -> STL, OBJ, PLY or VTP, relative to the scenario, from outside inwards; 'bone' is a bone"
     )
     unit: Unit = Field(1.0, description="metres per unit of the files (0.001 for millimetres)")
 
@@ -134,7 +134,12 @@ class MeshLimb(Part):
 
     shape: Literal["mesh"] = Field("mesh", description="a tetrahedral mesh from a file")
     file: str = Field(description="mesh file, relative to the scenario")
-    regions: dict[str, str] = Field(description="region name or number in the file -> tissue ('bone' is a bone)")
+    regions: dict[str, str] = Field(
+        description="region name or number in the file -> tissue ('bone' is a bone); '*' is all that is not named"
+    )
+    region_array: str | None = Field(
+        default=None, description="cell data that holds the regions' numbers, where the file has several or odd names"
+    )
     unit: Unit = Field(1.0, description="metres per unit of the file")
 
 

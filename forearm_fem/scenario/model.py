@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ModelWrapValidatorHandler, TypeAdapter, model_validator
 from pydantic_core import PydanticCustomError
 
-from .base import Name, Part, Within, idle
+from .base import Name, Part, UserCode, Within, idle
 from .changes import as_given, changed_keys, put, remade
 from .device import Device, Grid, GridRows, VoltageRows
 from .elements import AnySupports, Element, FreeUnderside, LibraryPatch, MeshOptions
@@ -61,8 +61,10 @@ class Scenario(Part):
     schema_version: Literal[2] = Field(2, description="of this file's format; only 2 is known")
     name: Name = Field("scenario", description="letters, digits, dot, dash, underscore; results go to results/NAME")
     description: str = Field("", description="a sentence for the report")
-    engine: Literal["fem", "layered"] = Field(
-        "fem", description="finite elements, or the semi-analytic layered model, which reads neither mesh nor supports"
+    engine: Literal["fem", "layered"] | UserCode = Field(
+        "fem",
+        description="finite elements, or the semi-analytic layered model, which reads neither mesh nor supports; your "
+        "own as module:Name of a file beside the scenario",
     )
     accuracy: Annotated[float, Within(1e-5, 0.5)] = Field(
         0.05, description="asked e_band of G; sets mesh sizes, truncation and reduction where left out"

@@ -119,7 +119,7 @@ def subject_of(results: Results) -> str:
     if is_measured(results):
         return (f"A measured or imported G of {len(g.outputs)} points and {len(g.inputs)} actuators, "
                 f"{g.frequency[0]:g} to {g.frequency[-1]:g} Hz.")  # fmt: skip
-    engine = "finite elements" if s.engine == "fem" else "the layered model (flat layers, no bone)"
+    engine = {"fem": "finite elements", "layered": "the layered model (flat layers, no bone)"}.get(s.engine, s.engine)
     return (f"{_device(s)}, on {limb_words(s)}; {_grid(s, len(g.outputs))}. Solved by {engine}, {g.frequency[0]:g} to "
             f"{g.frequency[-1]:g} Hz.")  # fmt: skip
 

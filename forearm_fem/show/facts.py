@@ -20,6 +20,8 @@ from .data import Results
 from .judge import TABLE_ONE, Strengths, spreads, strengths, table_one_rows
 from .page import Block
 
+_ENGINES = {"fem": "finite elements", "layered": "layered model (semi-analytic; flat, no bone)"}
+
 
 def scene_block(results: Results) -> Block:
     """What was asked, in a reader's words."""
@@ -31,7 +33,7 @@ def scene_block(results: Results) -> Block:
         ["limb", limb_words(s)],
         ["tissues", f"preset {s.tissues.preset}" + (f"; changed: {changed}" if changed else "")],
         ["supports", f"bone {s.supports.bone}, underside {s.supports.underside}, cut ends {s.supports.ends}"],
-        ["engine", "finite elements" if s.engine == "fem" else "layered model (semi-analytic; flat, no bone)"],
+        ["engine", _ENGINES.get(s.engine, s.engine)],
     ]
     rows = [
         *(solved if of_limb else [["G", "measured or imported: nothing is said of the limb"]]),

@@ -13,6 +13,7 @@ import psutil
 
 from ..errors import SolverError, optional
 from ..interrupts import interrupts_wait
+from ..main_guard import refuse_unguarded_script
 from .shelf import Shelf
 
 LIGHT = 0.6e9  # bytes of a worker that solves no finite elements
@@ -93,7 +94,8 @@ def light_workers(each: float = LIGHT) -> int:
 def cluster(scheduler: str | None, count: int, purpose: str) -> Iterator[Any]:
     """A Dask client: of the scheduler at the address ``scheduler``, else of ``count`` processes started for it.
 
-    Raises MissingExtra without Dask, SolverError where no scheduler answers.
+    Raises MissingExtra without Dask, SolverError where no scheduler answers, ForearmError in a script whose processes
+    would each run it again.
     """
     distributed = optional("distributed", "campaign", purpose)
     if scheduler is not None:
@@ -104,6 +106,7 @@ def cluster(scheduler: str | None, count: int, purpose: str) -> Iterator[Any]:
         with client:
             yield client
         return
+    refuse_unguarded_script()
     settings = {"n_workers": count, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
     with _quiet(), ExitStack() as stack:
         try:

@@ -25,6 +25,7 @@ from ...scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
 from ...scenario.sweep import frequencies
 from ...transfer import Compliance, ErrorEstimate
 from ...typing import BoolArray, ComplexArray, FloatArray, IntArray
+from ..engine import refuse_unheld
 from ..layered import flat_layers
 from ..solved import Solved
 from .bands import Bands
@@ -106,17 +107,46 @@ class ArmLibrary:
         seen = hashlib.sha256(self.fine.poles.tobytes() + self.fine.left.tobytes() + repr(self.twin.contact).encode())
         return seen.hexdigest()[:16]
 
-    def compliance(self, scenario: Scenario) -> Compliance:
+    @property
+    def name(self) -> str:
+        """See :class:`.Engine`."""
+        return "library"
+
+    def holds(self, scenario: Scenario) -> str:
+        """See :class:`.Engine`: its own arm, band, and cones."""
+        if scenario.engine != "fem":
+            return "engine: a library stands for finite elements; set engine = 'fem', or leave it out"
+        for key in _SAME:
+            if getattr(scenario, key) != getattr(self.scenario, key):
+                return (
+                    f"{key}: this library was made for another arm than the scenario's; make one for it "
+                    "(`forearm-fem library`), or leave --library out"
+                )
+        frequency, low, high = frequencies(scenario.sweep), self.bands.edges[0], self.bands.edges[-1]
+        if frequency[0] < low * (1 - 1e-9) or frequency[-1] > high * (1 + 1e-9):
+            return (
+                f"sweep: the library holds {low:g} to {high:g} Hz, asked for {frequency[0]:g} to {frequency[-1]:g} Hz; "
+                "narrow the sweep, or make a library for it"
+            )
+        cone = scenario.device.cone
+        if abs(cone.radius - self.twin.radius) > 1e-9 or cone.contact != self.twin.contact:
+            return (
+                f"device.cone: the library holds {self.twin.contact} discs of {self.twin.radius * 1e3:g} mm radius, "
+                f"asked for {cone.contact} ones of {cone.radius * 1e3:g} mm; make a library for these"
+            )
+        return ""
+
+    def compliance(self, scenario: Scenario, frequency: FloatArray | None = None) -> Compliance:
         """Compliance of the contacts and points of ``scenario`` with errors by interpolation, contacts and reduction.
 
-        Raises ScenarioError for another arm, radius, contact or band, GeometryError for places off the patch.
-        Entries between points are NaN: no device drives there.
+        At ``frequency`` (n,) [Hz], by default the scenario's. Raises ScenarioError for another arm, radius, contact or
+        band, GeometryError for places off the patch. Entries between points are NaN: no device drives there.
         """
-        return self._stated(self._asked(scenario))
+        return self._stated(self._asked(scenario, frequency))
 
-    def solved(self, scenario: Scenario) -> Solved:
+    def solved(self, scenario: Scenario, frequency: FloatArray | None = None) -> Solved:
         """The same as the solver's result, with the second mesh and the freed ends for the other errors."""
-        asked = self._asked(scenario)
+        asked = self._asked(scenario, frequency)
         fine = self._stated(asked)
         coarse, freed = (None if limb is None else self._answer(asked, limb)[0] for limb in (self.coarse, self.freed))
         if coarse is not None:
@@ -127,8 +157,9 @@ class ArmLibrary:
         empty = np.zeros((0, 3, 0)), np.zeros((len(fine.frequency), 0, 0), dtype=complex)
         return Solved(fine, coarse, freed, *empty, SolutionRecord(solver="library"), unknown)
 
-    def _asked(self, scenario: Scenario) -> _Asked:
-        ports, frequency = self.ports(scenario), frequencies(scenario.sweep)
+    def _asked(self, scenario: Scenario, frequency: FloatArray | None = None) -> _Asked:
+        ports = self.ports(scenario)
+        frequency = frequencies(scenario.sweep) if frequency is None else frequency
         places = self.skin.flat(positions(ports))
         rigid = [i for i, port in enumerate(ports) if port.kind == "contact" and self.twin.contact != "pressure"]
         ways = (1, 1, 2, 2) if len(self.sideways) else (2, 2)
@@ -168,30 +199,11 @@ class ArmLibrary:
 
     def ports(self, scenario: Scenario) -> tuple[Port, ...]:
         """Ports of ``scenario`` on the library's skin, after all that may be refused was."""
-        if scenario.engine != "fem":
-            raise ScenarioError("engine: a library stands for finite elements; set engine = 'fem', or leave it out")
-        for key in _SAME:
-            if getattr(scenario, key) != getattr(self.scenario, key):
-                raise ScenarioError(
-                    f"{key}: this library was made for another arm than the scenario's; make one for it "
-                    "(`forearm-fem library`), or leave --library out"
-                )
-        frequency, low, high = frequencies(scenario.sweep), self.bands.edges[0], self.bands.edges[-1]
-        if frequency[0] < low * (1 - 1e-9) or frequency[-1] > high * (1 + 1e-9):
-            raise ScenarioError(
-                f"sweep: the library holds {low:g} to {high:g} Hz, asked for {frequency[0]:g} to {frequency[-1]:g} Hz; "
-                "narrow the sweep, or make a library for it"
-            )
-        cone = scenario.device.cone
-        if abs(cone.radius - self.twin.radius) > 1e-9 or cone.contact != self.twin.contact:
-            raise ScenarioError(
-                f"device.cone: the library holds {self.twin.contact} discs of {self.twin.radius * 1e3:g} mm radius, "
-                f"asked for {cone.contact} ones of {cone.radius * 1e3:g} mm; make a library for these"
-            )
+        refuse_unheld(self, scenario)
         layout_of(scenario)
         ports = ports_on(scenario, self.skin.skin)
         self._check_on_patch(ports)
-        if cone.contact == "pressure":
+        if scenario.device.cone.contact == "pressure":
             self._check_none_under(ports)
         return ports
 

@@ -34,6 +34,8 @@ class _Found:
     nested: dict[str, set[str]] = field(default_factory=dict)
     spelled: dict[str, str] = field(default_factory=dict)
     parts: int = 0
+    closed: bool = False  # the part ended: what follows is the assembly's, whose numbers are its own
+    instances: int = 0
 
 
 def read_inp(file: Path) -> meshio.Mesh:
@@ -114,7 +116,17 @@ def _take(file: Path, found: _Found, keyword: str, options: dict[str, str], line
     if keyword in _MOVING or (keyword == "NODE" and options.get("SYSTEM", "R").upper() != "R"):
         raise MeshError(f"{file}: makes or turns its nodes by *{keyword}, which is not read; export all, in x, y, z")
     if keyword == "PART":
-        found.parts += 1
+        found.parts, found.closed = found.parts + 1, False
+    if keyword == "END PART":
+        found.closed = True
+    if keyword == "INSTANCE":
+        found.instances += 1
+        if found.instances > 1:
+            raise MeshError(f"{file}: places its part {found.instances} times; export one flat mesh, without parts")
+    if found.closed and found.nodes and keyword in ("NODE", "ELEMENT"):
+        if keyword == "ELEMENT" and _VOLUME.match(options.get("TYPE", "").upper()):
+            raise MeshError(f"{file}: has elements beside its part; export one flat mesh, without parts")
+        return  # reference points, springs and masses
     if keyword == "INSTANCE" and any(v for k, text in lines for v in _numbers(file, k, text)[:6]):
         raise MeshError(f"{file}: *INSTANCE moves or turns its part, which is not read; export a mesh without parts")
     if found.parts > 1 and keyword in ("NODE", "ELEMENT"):

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import meshio
 import numpy as np
+import pyvista
 
-from ...errors import MeshError
+from ...contents import stand_in
+from ...errors import MeshError, MissingExtra
 from ...store.folder import atomic_path
 from ...typing import IntArray
 from .abaqus import read_inp
+from .formats import read_exodus, read_febio, read_nastran, read_unv, read_xdmf, text_mesh
 from .tissue_mesh import TissueMesh
 
 _REGION, _BOUNDARY = "region {} {}", "boundary {}"
@@ -49,15 +53,22 @@ def read_mesh(path: str | Path) -> TissueMesh:
 
 def read_quietly(file: Path) -> Any:
     """meshio's mesh; anything it cannot make sense of becomes a :class:`MeshError`."""
+    with file.open("rb") as stream:
+        head = stream.read(1 << 16)
+    if said := stand_in(head):
+        raise MeshError(f"{file}: {said}")
+    ending = file.suffix.lower()
+    if other := _OTHERS.get(ending) or next((w for mark, w in _BEGINNINGS if head.lstrip().startswith(mark)), ""):
+        raise MeshError(f"{file}: {other}")
     try:
         with warnings.catch_warnings(), redirect_stdout(StringIO()), redirect_stderr(StringIO()):
             warnings.simplefilter("ignore")
-            return read_inp(file) if file.suffix.lower() == ".inp" else meshio.read(file)
-    except MeshError:
+            return _by_kind(file, ending, head)
+    except (MeshError, MissingExtra):
         raise
     except SystemExit:  # meshio prints and ends the program on damaged files and unknown formats
         raise MeshError(
-            f"{file}: cannot be read as a mesh, it is damaged or of a format that meshio does not know; "
+            f"{file}: cannot be read as a mesh, it is cut short or of a format that meshio does not know; "
             "use .msh, .vtu or .inp"
         ) from None
     except Exception as problem:
@@ -68,8 +79,98 @@ def read_quietly(file: Path) -> Any:
             ) from None
         said = f"{type(problem).__name__}: {problem}"[:100]
         raise MeshError(
-            f"{file}: cannot be read as a mesh ({said}); it is damaged or odd: export it as .vtu, .msh or .inp"
+            f"{file}: cannot be read as a mesh ({said}); it is cut short, or of a dialect that is not known: export it "
+            "as .vtu, .msh or .inp"
         ) from None
+
+
+_READERS: Mapping[str, Callable[[Path], Any]] = MappingProxyType(
+    {
+        ".bdf": read_nastran, ".nas": read_nastran, ".fem": read_nastran, ".unv": read_unv, ".feb": read_febio,
+        ".xdmf": read_xdmf, ".xmf": read_xdmf, ".e": read_exodus, ".ex2": read_exodus, ".exo": read_exodus,
+    }
+)  # fmt: skip
+_OTHERS: Mapping[str, str] = MappingProxyType(
+    {
+        ".stl": "is a surface, and limb.shape = 'mesh' is of tetrahedra; give surfaces with limb.shape = 'surfaces'",
+        ".obj": "is a surface, and limb.shape = 'mesh' is of tetrahedra; give surfaces with limb.shape = 'surfaces'",
+        ".step": "is a shape of CAD without a mesh; mesh it first, in gmsh for one",
+        ".stp": "is a shape of CAD without a mesh; mesh it first, in gmsh for one",
+        ".iges": "is a shape of CAD without a mesh; mesh it first, in gmsh for one",
+        ".geo": "is gmsh's description of a shape, without a mesh; mesh it there and save .msh",
+        ".cdb": "is of Ansys, which is not read; export Abaqus .inp, Nastran .bdf or .vtu",
+        ".k": "is of LS-DYNA, which is not read; export Abaqus .inp, Nastran .bdf or .vtu",
+        ".mphtxt": "is of COMSOL, which is not read; export Nastran .bdf there",
+        ".mph": "is of COMSOL, which is not read; export Nastran .bdf there",
+        ".odb": "holds results of Abaqus; give the .inp file",
+        ".cgns": "is CGNS, which is not read; export .vtu or .msh",
+    }
+)
+_BEGINNINGS = (
+    (b"$NOD", "is of gmsh's version 1, of before 2007; save it again: gmsh old.msh -save -format msh2 -o new.msh"),
+    (b"(0 ", "is a mesh of Ansys Fluent, which is not read; export Abaqus .inp, Nastran .bdf or .vtu"),
+    (b"/COM,ANSYS", "is of Ansys, which is not read; export Abaqus .inp, Nastran .bdf or .vtu"),
+    (b"PK\x03\x04", "is an archive; unpack it first"),
+)
+
+
+def _by_kind(file: Path, ending: str, head: bytes) -> Any:
+    """The mesh by the reader of its kind; what meshio cannot read of VTK's files is read by VTK."""
+    if ending == ".inp":
+        first = next((line for line in head.splitlines() if line.strip()), b"")
+        if re.fullmatch(rb"\s*\d+\s+\d+(\s+\d+){3}\s*", first) or first.startswith(b"#"):
+            return _avs(file)
+        return read_inp(file)
+    if ending in _READERS:
+        return _READERS[ending](file)
+    if ending == ".dat" and re.search(rb"^\s*(GRID|BEGIN\s+BULK)", head, re.MULTILINE | re.IGNORECASE):
+        return read_nastran(file)
+    if ending in (".vtk", ".vtu", ".pvtu"):
+        return _vtk(file)
+    return meshio.read(file)
+
+
+def _avs(file: Path) -> Any:
+    """A mesh of AVS, whose counts stand in its first line."""
+    mesh = meshio.read(file, file_format="avsucd")
+    lines = (line for line in text_mesh(file).split("\n") if line.strip() and not line.startswith("#"))
+    told = [int(w) for w in next(lines).split()[:2]]
+    _counted(file, told, mesh)
+    return mesh
+
+
+def _counted(file: Path, told: list[int], mesh: Any) -> None:
+    """MeshError where ``told`` (points, cells) are others than came."""
+    came = [len(mesh.points), sum(len(c.data) for c in mesh.cells)]
+    if came != told:
+        raise MeshError(
+            f"{file}: says it holds {told[0]} points and {told[1]} cells, and {came[0]} and {came[1]} could be read; "
+            "it is cut short, or export it as .vtu"
+        )
+
+
+def _vtk(file: Path) -> Any:
+    """A mesh of VTK, by its own library, which knows all its versions."""
+    with pyvista.VtkErrorCatcher(raise_errors=True, send_to_logging=False):
+        grid = pyvista.read(file)
+    if isinstance(grid, pyvista.MultiBlock):
+        raise MeshError(f"{file}: holds {grid.n_blocks} blocks; give one unstructured grid")
+    if not isinstance(grid, pyvista.UnstructuredGrid):
+        raise MeshError(f"{file}: holds a {type(grid).__name__}, expected an unstructured grid of tetrahedra")
+    types = {1: "vertex", 3: "line", 5: "triangle", 9: "quad", 10: "tetra", 12: "hexahedron", 13: "wedge",
+             14: "pyramid", 22: "triangle6", 23: "quad8", 24: "tetra10", 21: "line3"}  # fmt: skip
+    cells, data = list[Any](), dict[str, list[Any]]()
+    if not grid.n_cells:
+        raise MeshError(f"{file}: holds no cells")
+    for kind, nodes in grid.cells_dict.items():
+        cells.append((types.get(int(kind), f"VTK {kind}"), np.asarray(nodes, dtype=np.int64)))
+        rows = np.flatnonzero(grid.celltypes == kind)
+        for name, values in grid.cell_data.items():
+            data.setdefault(name, []).append(np.asarray(values)[rows])
+    mesh = meshio.Mesh(np.asarray(grid.points, dtype=float), [])
+    mesh.cells = [meshio.CellBlock(kind, nodes) for kind, nodes in cells]
+    mesh.cell_data = data
+    return mesh
 
 
 def _by_ending(file: Path, known: dict[str, Callable[..., Any]]) -> Callable[..., Any]:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...errors import MeshError
+from ...errors import AccuracyWarning, MeshError
 from ...scenario.limb import MeshLimb
 from ...typing import FloatArray, IntArray
 from ..device.layout import Layout
 from ..limb.prisms import oriented
 from ..mesh.files import read_quietly
+from ..mesh.formats import volumes_of_gmsh
 from ..mesh.tissue_mesh import TissueMesh
 from .boundary import with_boundaries, without_bone
 from .cells import check_body, check_indices, joined
@@ -21,6 +23,7 @@ from .extent import check_extent, check_room
 
 _NUMBERED = ("gmsh:physical", "region", "medit:ref", "cell_tags", "tetgen:ref", "su2:tag", "nastran:ref",
              "avsucd:material", "gmsh:geometrical", "material", "subdomain")  # fmt: skip
+ALL = "*"  # of limb.regions: what is not named
 _KINDS, _FLAT_KINDS = ("tetra", "tetra10"), ("line", "triangle", "quad", "polygon")
 _MIDDLES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))  # whose middles the nodes 4 to 9 of a tetra10 are (VTK)
 _BENT = 1e-3  # of an edge: a middle further off its chord than this is meant
@@ -41,6 +44,7 @@ def user_mesh(limb: MeshLimb, base: Path, layout: Layout, least: float, *, keep_
     points = np.asarray(read.points, dtype=float) * limb.unit
     if points.ndim != 2 or points.shape[1] != 3:
         raise MeshError(f"{file}: points have {points.shape[-1]} coordinates, need 3; give a volume mesh")
+    tetrahedra, read = _once(tetrahedra, read, limb)
     check_indices(file, tetrahedra, len(points))
     names = tuple(dict.fromkeys(limb.regions.values()))
     region = _tissues(file, limb, _labels(file, read, limb, len(tetrahedra)), names)
@@ -68,6 +72,36 @@ def _tetrahedra(file: Path, read: Any) -> IntArray:
     return np.vstack(blocks).astype(np.int64)
 
 
+def _once(cells: IntArray, read: Any, limb: MeshLimb) -> tuple[IntArray, Any]:
+    """Cells that gmsh wrote once for each of their physical groups, once: with the group that limb.regions names."""
+    if "gmsh:physical" not in read.cell_data:
+        return cells, read
+    chosen = [i for i, c in enumerate(read.cells) if c.type in _KINDS and len(c.data)]
+    _, first, again = np.unique(np.sort(cells, axis=1), axis=0, return_index=True, return_inverse=True)
+    if len(first) == len(cells):
+        return cells, read
+    tags = np.concatenate([np.abs(np.ravel(read.cell_data["gmsh:physical"][i])) for i in chosen])
+    names = _names(read)
+    meant = np.array([any(n in limb.regions for n in (*names.get(int(k), ()), str(int(k)))) for k in tags])
+    keep = np.zeros(len(cells), dtype=bool)
+    groups = again.ravel()
+    for group in np.unique(groups[np.bincount(groups)[groups] > 1]):
+        members = np.flatnonzero(groups == group)
+        if len(set(tags[members].tolist())) < len(members):
+            return cells, read  # twice in one group: that is no way to write several
+        keep[members[meant[members]] if meant[members].any() else members[:1]] = True
+    keep |= np.bincount(groups)[groups] == 1
+    start = 0
+    for i in chosen:
+        size = len(read.cells[i].data)
+        rows = keep[start : start + size]
+        read.cells[i].data = read.cells[i].data[rows]
+        for values in read.cell_data.values():
+            values[i] = np.asarray(values[i])[rows]
+        start += size
+    return cells[keep], read
+
+
 def _check_straight(file: Path, read: Any, points: FloatArray) -> None:
     """Edges of quadratic tetrahedra must be straight, as the elements made of them will be."""
     start = 0
@@ -90,18 +124,26 @@ def _check_straight(file: Path, read: Any, points: FloatArray) -> None:
 def _labels(file: Path, read: Any, limb: MeshLimb, count: int) -> list[str]:
     """Region name or number of every tetrahedron, as text; names of groups win over numbers."""
     chosen = [i for i, c in enumerate(read.cells) if c.type in _KINDS and len(c.data)]
-    key = next((k for k in _NUMBERED if k in read.cell_data), None)
-    if key is None:
-        return _from_sets(file, read, limb, chosen, count)
+    key = limb.region_array
+    if key is not None:
+        if key not in read.cell_data:
+            found = _some([k for k in read.cell_data if not k.startswith("gmsh:bounding")]) or "none"
+            raise MeshError(f"{file}: has no cell data '{key}' (limb.region_array); it has {found}")
+    elif set(limb.regions) == {ALL}:
+        return [ALL] * count
+    else:
+        key = _recognised(file, read, limb, chosen)
+        if key is None:
+            return _from_sets(file, read, limb, chosen, count)
     parts = []
     for i in chosen:
-        found = np.asarray(read.cell_data[key][i])
-        if found.dtype.kind not in "iufb" or found.ndim > 2 or found.shape[1:] not in ((), (1,)):
+        stored = np.asarray(read.cell_data[key][i])
+        if stored.dtype.kind not in "iufb" or stored.ndim > 2 or stored.shape[1:] not in ((), (1,)):
             raise MeshError(
-                f"{file}: cell data '{key}' has the shape {found.shape} and type {found.dtype}, expected one number "
+                f"{file}: cell data '{key}' has the shape {stored.shape} and type {stored.dtype}, expected one number "
                 "for each tetrahedron"
             )
-        parts.append(found.reshape(len(found)))
+        parts.append(stored.reshape(len(stored)))
     numbers = np.concatenate(parts)
     if len(numbers) != count:
         raise MeshError(f"{file}: cell data '{key}' has {len(numbers)} entries for {count} tetrahedra; need one each")
@@ -115,7 +157,55 @@ def _labels(file: Path, read: Any, limb: MeshLimb, count: int) -> list[str]:
     if key == "gmsh:physical":  # a negative one is the same group, its cells turned round
         whole = np.abs(whole)
     names = _names(read)
-    return [_said(k, names.get(k, ()), limb) for k in whole.tolist()]
+    several = _groups(file, read, chosen) if key == "gmsh:physical" else {}
+    return [_said(k, _named(k, several.get((k, e), (k,)), names), limb) for k, e in zip(
+        whole.tolist(), _entities(read, chosen, count), strict=True)]  # fmt: skip
+
+
+def _recognised(file: Path, read: Any, limb: MeshLimb, chosen: list[int]) -> str | None:
+    """The cell data that number regions: by a usual name, else the one array of whole numbers, with a warning."""
+    here = {k: [np.asarray(v[i]) for i in chosen] for k, v in read.cell_data.items()}
+    usual = [k for k in _NUMBERED if k in here]
+    for k in usual:  # groups that no volume is in leave the entities
+        if any(np.any(v) for v in here[k]) or len(usual) == 1:
+            return str(k)
+    if usual:
+        return str(usual[0])
+    if any(n in limb.regions for n in read.cell_sets):
+        return None
+    whole = [k for k, parts in here.items() if not k.startswith(("gmsh:", "cell_")) and all(
+        v.ndim == 1 and v.dtype.kind in "iub" for v in parts)]  # fmt: skip
+    fitting = [k for k in whole if {str(int(n)) for v in here[k] for n in np.unique(v)} <= {*limb.regions}]
+    if len(fitting) == 1 or (len(whole) == 1 and not fitting):
+        key = str((fitting or whole)[0])
+        warnings.warn(
+            f"{file}: regions are taken from the cell data '{key}'; limb.region_array = '{key}' says so",
+            AccuracyWarning, stacklevel=5,
+        )  # fmt: skip
+        return key
+    return None
+
+
+def _entities(read: Any, chosen: list[int], count: int) -> list[int]:
+    """gmsh's entity of each tetrahedron; 0 where there is none."""
+    if "gmsh:geometrical" not in read.cell_data:
+        return [0] * count
+    return [int(e) for i in chosen for e in np.ravel(read.cell_data["gmsh:geometrical"][i])]
+
+
+def _groups(file: Path, read: Any, chosen: list[int]) -> dict[tuple[int, int], tuple[int, ...]]:
+    """All physical groups of gmsh's volumes, (first group, entity) -> groups, of which meshio keeps the first alone."""
+    if file.suffix.lower() != ".msh" or "gmsh:geometrical" not in read.cell_data:
+        return {}
+    several = volumes_of_gmsh(file)
+    return {(groups[0], entity): groups for entity, groups in several.items() if groups}
+
+
+def _named(number: int, groups: tuple[int, ...], names: dict[int, tuple[str, ...]]) -> tuple[str, ...]:
+    """What a number, and other groups of the same cells, are called, numbers among them."""
+    if groups == (number,):
+        return names.get(number, ())
+    return tuple(n for g in groups for n in (*names.get(g, ()), str(g)))
 
 
 def _names(read: Any) -> dict[int, tuple[str, ...]]:
@@ -129,6 +219,13 @@ def _names(read: Any) -> dict[int, tuple[str, ...]]:
 def _said(number: int, names: tuple[str, ...], limb: MeshLimb) -> str:
     """A region as ``limb.regions`` calls it: by one of its names or its number; else by its first name."""
     known = [n for n in (*names, str(number)) if n in limb.regions]
+    if len(set(known)) > 1 and len({limb.regions[n] for n in known}) > 1:
+        raise MeshError(
+            f"cells are in the groups {_some(dict.fromkeys(known))} at once, and limb.regions gives these several "
+            "tissues; name one of them only"
+        )
+    if not known and ALL in limb.regions:
+        return ALL
     return known[0] if known else (*names, str(number))[0]
 
 
@@ -147,12 +244,14 @@ def _from_sets(file: Path, read: Any, limb: MeshLimb, chosen: list[int], count: 
                     )
                 labels[start + int(k)] = name
         start += len(read.cells[i].data)
+    if ALL in limb.regions:
+        labels = [label if label in limb.regions else ALL for label in labels]
     if "" in labels:
         found = _some([*read.cell_data, *read.cell_sets])
         raise MeshError(
             f"{file}: {labels.count('')} tetrahedra carry no region, the first is number {labels.index('')}; expected "
-            f"cell data such as {', '.join(_NUMBERED[:3])} or named cell sets, found {found or 'none'}; call the array "
-            "of their numbers 'region'"
+            f"cell data such as {', '.join(_NUMBERED[:2])} or named cell sets, found {found or 'none'}; name the array "
+            "by limb.region_array, or give one tissue to all: limb.regions = {'*' = 'muscle'}"
         )
     return labels
 
@@ -164,7 +263,7 @@ def _tissues(file: Path, limb: MeshLimb, label: list[str], names: tuple[str, ...
             f"{file}: regions {_some(unknown)} have no tissue, the first is of tetrahedron {label.index(unknown[0])}; "
             f"add them to limb.regions (it maps {_some(limb.regions) or 'nothing'})"
         )
-    absent = sorted(set(limb.regions) - set(label))
+    absent = sorted(set(limb.regions) - set(label) - {ALL})
     if absent:
         raise MeshError(
             f"{file}: limb.regions names {_some(absent)}, but the file holds {_some(sorted(set(label)))}; "

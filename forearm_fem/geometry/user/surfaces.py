@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 import pyvista
-import trimesh
 
-from ...errors import GeometryError
+from ...errors import AccuracyWarning, GeometryError
 from ...progress import Progress, tell
 from ...scenario.limb import SurfacesLimb
 from ...typing import FloatArray, IntArray
@@ -25,9 +24,12 @@ from .extent import check_extent
 from .levelset import cut_along
 from .shells import at_words, check_one_body, check_vertices, closed
 from .tetwild import background_grid, tetrahedralise
+from .triangles import read_triangles
 
 _REGULAR = 0.1179  # volume of a regular tetrahedron over its edge cubed
 _THINNEST = 5e-5  # m: a layer that is nowhere thicker is a surface given twice
+_SAME = 1e-9  # of the surface's size: vertices closer than this are one
+_FEW, _FEW_SHARE = 12, 0.02  # crossing triangles, and their share of all, that are a slip and not a wrong surface
 _PER_WIDTH = 0.25  # edge length over the smallest extent of an inner body
 
 
@@ -70,13 +72,7 @@ def read_surfaces(limb: SurfacesLimb, base: Path) -> tuple[ClosedSurface, ...]:
     if found[0].tissue == "bone":
         raise GeometryError("the largest surface is the bone's; give the surface of the tissue around it too")
     check_one_body(found[0].tissue, found[0].vertices, found[0].faces)
-    for surface in found:
-        pairs = crossing_faces(surface.vertices[surface.faces], None, surface.faces)
-        if len(pairs):
-            raise GeometryError(
-                f"the surface of '{surface.tissue}' crosses itself in {len(pairs)} pairs of triangles, the first at "
-                f"{at_words(surface.vertices[surface.faces[pairs[0, 0]]])}; repair it"
-            )
+    found = [_uncrossed(surface) for surface in found]
     for i, outer in enumerate(found):
         for inner in found[i + 1 :]:
             _check_nested(outer, inner)
@@ -88,20 +84,55 @@ def _read(tissue: str, file: Path, unit: float) -> ClosedSurface:
         raise GeometryError(
             f"{file}: no such surface for '{tissue}'; limb.surfaces is relative to the scenario's folder"
         )
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            body = trimesh.load_mesh(file, process=False)
-    except Exception as problem:
-        said = " ".join(str(problem).split())[:100]
-        raise GeometryError(f"{file}: cannot be read as STL, OBJ or PLY ({said})") from None
-    if not isinstance(body, trimesh.Trimesh) or not len(body.faces):
-        raise GeometryError(f"{file}: holds no triangles; export a triangulated surface")
-    check_vertices(file, np.asarray(body.vertices, dtype=float), np.asarray(body.faces, dtype=np.int64))
-    body.merge_vertices(merge_tex=True, merge_norm=True)
-    vertices, faces = np.asarray(body.vertices, dtype=float) * unit, np.asarray(body.faces, dtype=np.int64)
+    vertices, faces = read_triangles(file)
+    check_vertices(file, vertices, faces)
+    used = np.unique(faces)
+    vertices, faces = _merged(vertices[used], np.searchsorted(used, faces))
+    vertices = vertices * unit
     check_extent(file, vertices, unit)
     return ClosedSurface(tissue, vertices, closed(file, tissue, vertices, faces))
+
+
+def _uncrossed(surface: ClosedSurface) -> ClosedSurface:
+    """``surface``, its few crossing triangles repaired by fTetWild, with a warning of how far that moved it.
+
+    GeometryError for many, which are no slip of a segmentation.
+    """
+    pairs = crossing_faces(surface.vertices[surface.faces], None, surface.faces)
+    if not len(pairs):
+        return surface
+    where = at_words(surface.vertices[surface.faces[pairs[0, 0]]])
+    touched = len(np.unique(pairs))
+    if touched > max(_FEW, _FEW_SHARE * len(surface.faces)):
+        raise GeometryError(
+            f"the surface of '{surface.tissue}' crosses itself in {len(pairs)} pairs of triangles, the first at "
+            f"{where}; "
+            "repair it"
+        )
+    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    sides = surface.vertices[surface.faces][:, [0, 1, 2]] - surface.vertices[surface.faces][:, [1, 2, 0]]
+    size = float(np.median(np.linalg.norm(sides, axis=2)))
+    grid, cells = background_grid(low, high, float((high - low).max()) / 10)
+    points, tetrahedra = tetrahedralise(surface.vertices, surface.faces, grid, cells, np.full(len(grid), size), size)
+    rim = boundary_faces(tetrahedra)[0]
+    used, faces = np.unique(rim, return_inverse=True)
+    whole = closed(Path(surface.tissue), surface.tissue, points[used], np.asarray(faces.reshape(-1, 3), dtype=np.int64))
+    made = ClosedSurface(surface.tissue, points[used], whole)
+    off = surface.distance(made.vertices), made.distance(surface.vertices)
+    moved = max(float(np.abs(d).max()) for d in off)
+    warnings.warn(
+        f"the surface of '{surface.tissue}' crossed itself in {len(pairs)} pairs of triangles, the first at {where}; "
+        f"it was repaired, which moved it by {moved * 1e3:.2g} mm at most",
+        AccuracyWarning, stacklevel=3,
+    )  # fmt: skip
+    return made
+
+
+def _merged(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
+    """Vertices that coincide as one, where edges between textures or triangles of STL doubled them."""
+    grid = max(float(np.ptp(vertices, axis=0).max()), 1e-300) * _SAME
+    _, first, label = np.unique(np.round(vertices / grid), axis=0, return_index=True, return_inverse=True)
+    return vertices[first], np.asarray(label.ravel()[faces], dtype=np.int64)
 
 
 def _check_nested(outer: ClosedSurface, inner: ClosedSurface) -> None:

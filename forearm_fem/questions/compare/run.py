@@ -79,9 +79,8 @@ def run_compare(
     }  # fmt: skip
     if folder is not None:
         check_kind(folder, "comparison", asked, FILES)
-    ports = None if scenario is None else planform_ports(scenario)
     tell(progress, "reading", 0, 1)
-    first, second = _load(a, declaration_a, ports, "--declare-a"), _load(b, declaration_b, ports, "--declare-b")
+    first, second = _load(a, declaration_a, scenario, "--declare-a"), _load(b, declaration_b, scenario, "--declare-b")
     names = (_name(a, "A"), _name(b, "B"))
     folders = [Path(g).resolve().parent for g in (a, b) if not isinstance(g, TransferMatrix)]
     result = compare(first, second, names=names, render=render, folders=folders, progress=progress)

@@ -8,24 +8,22 @@ from typing import Protocol
 import numpy as np
 
 from ...accuracy.estimates import quadrature_estimate
-from ...engines.layered import flat_disc, flat_ports
+from ...engines.engine import Engine
+from ...engines.layered import LayeredEngine, flat_disc, flat_ports
 from ...engines.tables import kept_tables, tables_reach
 from ...layered.tables import Tabulated
 from ...progress import Progress
 from ...scenario import Scenario
-from ...scenario.sweep import frequencies
 from ...transfer import Compliance
+from ...typing import FloatArray
 
 
-class ArmModel(Protocol):
-    """An arm, ready for any device: what a design evaluates its candidates on."""
+class ArmModel(Engine, Protocol):
+    """An engine for any device on one arm: what a design evaluates its candidates on."""
 
     @property
     def mark(self) -> str:
         """What tells its answers from another model's."""
-
-    def compliance(self, scenario: Scenario) -> Compliance:
-        """Compliance of the scenario's ports with its errors; raises a ForearmError for a device that cannot be."""
 
 
 class TwinArm:
@@ -43,10 +41,19 @@ class TwinArm:
         """The scenario says all."""
         return "flat twin"
 
-    def compliance(self, scenario: Scenario) -> Compliance:
+    @property
+    def name(self) -> str:
+        """See :class:`.Engine`."""
+        return "tables"
+
+    def holds(self, scenario: Scenario) -> str:
+        """See :class:`.Engine`: as the layered model."""
+        return LayeredEngine().holds(scenario)
+
+    def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """See :class:`ArmModel`; entries between two points are NaN."""
         ports = flat_ports(scenario)
-        omega = 2 * np.pi * (frequency := frequencies(scenario.sweep))
+        omega = 2 * np.pi * frequency
         places = np.array([p.position[:2] for p in ports])
         reach = tables_reach(float(np.ptp(places, axis=0).max() * np.sqrt(2)))
         table = kept_tables(scenario, reach, folder=self._folder, progress=self._progress, known=self._known)

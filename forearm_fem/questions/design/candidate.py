@@ -20,7 +20,7 @@ from ...rendering import Rendering
 from ...rendering.job import RenderJob, check_servable
 from ...scenario import Scenario
 from ...scenario.device import Housing, VoltageDevice
-from ...scenario.sweep import FrequencyList
+from ...scenario.sweep import FrequencyList, frequencies
 from ...transfer import TransferMatrix, finite, total_error
 from ...typing import FloatArray
 from .arm import ArmModel
@@ -142,7 +142,7 @@ class _Found:
 
 def transfer_on(scenario: Scenario, arm: ArmModel) -> TransferMatrix:
     """G of the scenario's device on ``arm``."""
-    return finite(close_loop(arm.compliance(scenario), scenario.device))
+    return finite(close_loop(arm.compliance(scenario, frequencies(scenario.sweep)), scenario.device))
 
 
 def _one(whole: Scenario, arm: ArmModel, asked: DesignFile, base: Path) -> _Found:

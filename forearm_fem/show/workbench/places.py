@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 
 from ...device import close_loop
+from ...engines.engine import SolvingEngine
 from ...errors import GeometryError
 from ...geometry.device.layout import layout_of
-from ...pipeline.simulation import AnswersForArm
 from ...ports import Port, positions
 from ...progress import Progress, tell
 from ...scenario import Scenario
@@ -44,7 +44,7 @@ class FlatLengths(Protocol):
         ...
 
 
-class LibraryOfArm(AnswersForArm, Protocol):
+class LibraryOfArm(SolvingEngine, Protocol):
     """What an :class:`forearm_fem.engines.library.ArmLibrary` offers."""
 
     @property
@@ -57,8 +57,8 @@ class LibraryOfArm(AnswersForArm, Protocol):
         """The skin laid flat."""
         ...
 
-    def compliance(self, scenario: Scenario) -> Compliance:
-        """Of the scenario's contacts and points."""
+    def compliance(self, scenario: Scenario, frequency: FloatArray | None = None) -> Compliance:
+        """Of the scenario's contacts and points, at its own frequencies unless others are given."""
         ...
 
     def ports(self, scenario: Scenario) -> tuple[Port, ...]:
