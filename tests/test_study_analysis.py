@@ -284,5 +284,7 @@ def test_a_study_from_nothing_to_its_page_from_the_command_line(tmp_path):
     assert "04  confidence: 0 of 27" in run(app, ["study", "status", str(file)]).output
     done = run(app, ["study", "power", str(file), "--least", "0.002", "--scatter", "0.004"])
     assert "80 % from" in done.output
+    done = run(app, ["study", "power", str(file), "--answers", str(tmp_path / "answers"), "--task", "confidence"])
+    assert "confidence, points, method: the pilot's effect" in done.output
     refused = run(app, ["study", "power", str(file), "--least", "0.002"])
     assert "expected --pilot FOLDER" in str(refused.exception)
