@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import struct
 import warnings
 from dataclasses import replace
@@ -261,11 +262,11 @@ def sweeps(folder: Path, kind: str) -> Path:
                 zip(drive.tolist(), response.tolist(), strict=True))]  # fmt: skip
             file.write_text("\n".join(["time;drive;laser", *lines]) + "\n")
         else:
-            lvm = ["LabVIEW Measurement\t", "Separator\tTab", "Decimal_Separator\t.", "X_Columns\tOne",
+            lvm = ["LabVIEW Measurement\t", "Separator\tTab", "Decimal_Separator\t,", "X_Columns\tNo",
                    "***End_of_Header***\t", "Channels\t2", f"Samples\t{len(drive)}\t{len(drive)}",
                    "Y_Unit_Label\tVolts\tVolts", "X0\t0\t0", f"Delta_X\t{step}\t{step}", "***End_of_Header***\t\t",
                    "X_Value\tdrive\tlaser\tComment"]  # fmt: skip
-            lvm += [f"{k * step}\t{a!r}\t{b!r}" for k, (a, b) in enumerate(
+            lvm += [f"\t{a!r}\t{b!r}\t{'moved' * (k == 3)}".replace(".", ",") for k, (a, b) in enumerate(
                 zip(drive.tolist(), response.tolist(), strict=True))]  # fmt: skip
             file.write_text("\n".join(lvm) + "\n")
     return folder
@@ -573,3 +574,51 @@ def test_sofa_is_read_through_sofar(tmp_path):
     g = read(tmp_path / "g.sofa", Declaration(unit="m/V"))
     assert np.allclose(g.values, np.fft.rfft(h, axis=2)[:, :, 1:].transpose(2, 1, 0), rtol=1e-12)
     assert g.frequency[0] == 1000 / 64
+
+
+def test_the_page_on_lab_files_runs_as_printed(tmp_path):
+    """Its commands and its table, on small files of our own."""
+    page = (Path(__file__).parents[1] / "docs" / "howto" / "lab_files.md").read_text(encoding="utf-8")
+    lines = [line for line in page.splitlines() if line.startswith("forearm-fem convert")]
+    assert len(lines) == 3
+    (tmp_path / "lab.toml").write_text(
+        'name = "lab"\nengine = "layered"\n[device]\ncontacts = [[0.0, 0.0], [0.03, 0.0]]\n'
+        "[grid]\npoints = [[0.01, 0.0], [0.02, 0.0]]\n[measurement.sensor]\n"
+        f"quantity = '{LAB.measurement.sensor.quantity}'\nsensitivity = {LAB.measurement.sensor.sensitivity}\n"
+        f"[sweep]\nf_min = 10.0\nf_max = 500.0\nduration = {LAB.sweep.duration}\n"
+        f"sample_rate = {LAB.sweep.sample_rate}\n"
+    )
+    entries(tmp_path / "lab", "G_{o}_{i}.csv")
+    entries(tmp_path / "may", "run7_{o}x{i}.csv")
+    for file in sweeps(tmp_path / "sweeps", "tdms").iterdir():
+        channels = {c.split("/")[1]: w.samples for c, w in files.sweeps.waveforms(file, Declaration()).items()}
+        tdms(file, {"ao": channels["drive"], "laser": channels["laser"]}, LAB.sweep.sample_rate)
+    for line in lines:
+        answer = cli(*shlex.split(line)[1:], cwd=tmp_path)
+        assert answer.code == 0, answer.err
+        assert files.read(tmp_path / shlex.split(line)[3]).values.shape[1:] == (2, 2)
+    (tmp_path / "may" / "run7_1xA1.csv").rename(tmp_path / "may" / "scan 3.csv")
+    table = page.split("```toml")[1].split("```")[0]
+    (tmp_path / "may.toml").write_text(table)
+    answer = cli("convert", "may.toml", "may.nc", "--scenario", "lab.toml", cwd=tmp_path)
+    assert answer.code == 0, answer.err
+    assert files.read(tmp_path / "may.nc").valid.any(axis=0).sum() == 1
+
+
+def test_noise_is_no_error_of_interpolation_and_what_is_sampled_too_seldom_is():
+    """Smooth responses with noise of 3 %, and delays of which the samples see less than two a turn."""
+    f = np.arange(50.0, 250.0)
+    bins = np.arange(100, 499)
+    rng = np.random.default_rng(0)
+    noise = 0.03 * (rng.standard_normal(len(f)) + 1j * rng.standard_normal(len(f)))
+
+    def filled(delay: float, noisy: bool) -> Any:
+        values = np.exp(-2j * np.pi * f * delay) / (1 + (f / 100) ** 2) * (1 + noisy * noise)
+        return filled_in(2 * f, values[:, None], np.ones((len(f), 1), bool), bins, 0.5, Interpolation())
+
+    for noisy in (False, True):
+        _, on = filled(0.01, noisy)
+        assert on.all()
+        for delay in (0.15, 0.3, 0.45):
+            with pytest.raises(DataError, match=r"sweep\.duration = 1,"):
+                filled(delay, noisy)

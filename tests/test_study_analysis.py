@@ -252,7 +252,7 @@ def test_a_study_from_nothing_to_its_page_from_the_command_line(tmp_path):
     """solve, new, stimuli, answers of simulated people as jsPsych writes them, analyse, power: no traceback."""
     (tmp_path / "flat.toml").write_text(_SCENE)
     run, file = CliRunner().invoke, tmp_path / "pilot.toml"
-    solved = run(app, ["solve", str(tmp_path / "flat.toml"), "--out", str(tmp_path / "g")])
+    solved = run(app, ["run", "--until", "solve", str(tmp_path / "flat.toml"), "--out", str(tmp_path / "g")])
     assert solved.exit_code == 0, solved.output
     words = ["--scenario", "flat.toml", "--folder", str(tmp_path), "--transfer", str(tmp_path / "g")]
     made = run(app, ["study", "new", "pilot", *words])
@@ -284,5 +284,7 @@ def test_a_study_from_nothing_to_its_page_from_the_command_line(tmp_path):
     assert "04  confidence: 0 of 27" in run(app, ["study", "status", str(file)]).output
     done = run(app, ["study", "power", str(file), "--least", "0.002", "--scatter", "0.004"])
     assert "80 % from" in done.output
+    done = run(app, ["study", "power", str(file), "--answers", str(tmp_path / "answers"), "--task", "confidence"])
+    assert "confidence, points, method: the pilot's effect" in done.output
     refused = run(app, ["study", "power", str(file), "--least", "0.002"])
     assert "expected --pilot FOLDER" in str(refused.exception)

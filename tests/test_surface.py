@@ -183,7 +183,7 @@ def test_an_engine_of_one_s_own_answers_for_a_scenario(home: Path, simulation: S
     scenario = load_scenario(home / "soft.toml")
     layered = simulate(scenario.changed({"engine": "layered"})).transfer.values
     np.testing.assert_allclose(simulate(scenario).transfer.values, 2 * layered, rtol=1e-12)
-    assert cli("solve", home / "soft.toml", "--out", tmp_path / "out").code == 0
+    assert cli("run", "--until", "solve", home / "soft.toml", "--out", tmp_path / "out").code == 0
     with pytest.raises(ScenarioError, match="ends at 300 Hz"):
         simulate(scenario.changed({"sweep.f_max": 400.0}))
 

@@ -126,8 +126,8 @@ def run(
     card: Annotated[str | None, typer.Option("--card", help="sound: name or number of the card")] = None,
     cable: Annotated[
         Path | None,
-        typer.Option("--loopback", help="record of `forearm-fem loopback`, kept with the answers",
-                     callback=there("no such file; `forearm-fem loopback SCENARIO` makes one")),
+        typer.Option("--loopback", help="record of `forearm-fem daq loopback`, kept with the answers",
+                     callback=there("no such file; `forearm-fem daq loopback SCENARIO` makes one")),
     ] = None,
     declare: Declared = None,
     data: Data = None,
@@ -157,7 +157,7 @@ def run(
     with held as (session, made):
         if session.back_end.latency_basis == "unknown":
             print_notes(
-                ["the device's latency was not measured and is kept as unknown; `forearm-fem loopback` measures it"]
+                ["the device's latency was not measured and is kept as unknown; `forearm-fem daq loopback` measures it"]
             )
         motions = {k: s.moved for k, s in made.stimuli.items()}
         (print_notes if max(apart(motions).values()) > AUDIBLE else _echoed)([told(motions)])
@@ -258,6 +258,9 @@ def power(
         Path | None, typer.Option(help="folder of answers to take effect and scatter from",
                                   callback=there("no such folder of answers", folder=True)),
     ] = None,
+    answers: Annotated[
+        list[Path] | None, typer.Option("--answers", help="a pilot's answers by PsychoPy or jsPsych, as for analyse")
+    ] = None,
     task: Annotated[str | None, typer.Option(help="of the study; default: its first")] = None,
     measure: Annotated[
         Literal["error", "precision", "points", "response_area"] | None,
@@ -280,6 +283,7 @@ def power(
     from ..store.folder import atomic_path
     from ..study import power as planned
     from ..study.analysis import cells, with_errors
+    from ..study.answers import read_answers
     from ..study.figures import plot_power
     from ..study.run import Prepared, answers_of, require_study_extra
 
@@ -288,19 +292,23 @@ def power(
     study = prepared.study
     asked = study.task(task) if task else study.tasks[0]
     what, methods = measure or asked.measures[0], len(study.stimuli.methods)
-    if (pilot is None) == (scatter is None) or (scatter is not None and least is None):
-        raise DataError("expected --pilot FOLDER, with or without --least; or --least and --scatter without a pilot")
+    if sum((pilot is not None, bool(answers), scatter is not None)) != 1 or (scatter is not None and least is None):
+        raise DataError("expected --pilot FOLDER or --answers FILE, with or without --least; or --least and --scatter")
     for name, value in (("--least", least), ("--scatter", scatter)):
         if value is not None and not 0 < value < float("inf"):
             raise DataError(f"{name}: expected a positive number, got {value:g}")
     if what not in asked.measures:
         raise DataError(f"--measure {what}: task {asked.name} gives {', '.join(asked.measures)}")
-    if pilot is None:
-        assert least is not None
-        assert scatter is not None
+    if least is not None and scatter is not None:
         size, source = planned.size_of_scatter(least, scatter, methods, effect), "stated"
     else:
-        values, *_ = cells(with_errors(answers_of(prepared.store(), asked.name), prepared.grid()), what)
+        for each in answers or ():
+            there("no such file or folder of answers")(each)
+        store, grid = prepared.store(), prepared.grid()
+        table = read_answers(answers, store, grid).get(asked.name) if answers else answers_of(store, asked.name)
+        if table is None:
+            raise DataError(f"--answers: none of them is to task {asked.name}")
+        values, *_ = cells(with_errors(table, grid), what)
         if least is None:
             size, source = planned.size_of_pilot(values, effect), "the pilot's effect"
         else:

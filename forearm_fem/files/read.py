@@ -164,7 +164,7 @@ def several(place: Path) -> list[Path] | None:
         kinds = sorted({f.suffix.lower() for f in found})
         if not found:
             raise DataError(
-                f"{place}: no transfer.nc in this folder, nor files of a known kind; `forearm-fem solve` makes one, or "
+                f"{place}: no transfer.nc in this folder, nor files of a known kind; `forearm-fem run` makes one, or "
                 "name a file"
             )
         if len(kinds) > 1:

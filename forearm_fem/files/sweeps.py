@@ -28,6 +28,7 @@ from .wav import wav_samples
 _SIMULTANEOUS = 0.01  # of a sample between the beginnings of two channels of one clock
 _EXACT, _NOISY = 1e-6, 0.5  # of a drive's size: how far its periods may differ, as sent and as measured
 _EVEN = 1e-3  # of a step: how far printed times may be off an even clock, and the mean of all by far less
+_DIGITS = 1e-3  # relative: what six digits of a spacing near a millisecond leave off
 _SILENT = 1e-9  # of a drive's largest period: less is none
 _VOLTS = ("", "v", "volt", "volts")
 _GUESSED: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -329,39 +330,49 @@ def _lvm(file: Path, said: Declaration) -> dict[str, Waveform]:
         )
     head = lines[: ends[1]]
     separator = {"Comma": ","}.get(_said(head, "Separator", "\t"), "\t")
-    comma = _said(head, "Decimal_Separator", ".") == ","
-    count = int(_said(head, "Channels", "1"))
-    steps = [float(w.replace(",", ".")) for w in _row(head, "Delta_X", separator)[:count]]
-    begins = [float(w.replace(",", ".")) for w in _row(head, "X0", separator)[:count]] or [0.0] * count
-    units = _row(head, "Y_Unit_Label", separator)[:count]
-    columns = _said(head, "X_Columns", "One")
-    names = lines[ends[1] + 1].split(separator)
-    rows = [
-        line.split(separator) for line in lines[ends[1] + 2 :] if line.strip(separator + " ")
-    ]
-    try:
-        cells = [[float((c.replace(",", ".") if comma else c) or "nan") for c in r[: len(names)]] for r in rows]
-        width = min(map(len, cells), default=0)
-        numbers = np.array([c[:width] for c in cells])
-    except ValueError as problem:
-        raise DataError(f"{file}: some of its lines hold no numbers ({problem})") from None
-    first = {"No": 0, "One": 1, "Multi": 1}.get(columns, 1)
-    places = [first + k if columns != "Multi" else 2 * k + 1 for k in range(count)]
-    if numbers.ndim != 2 or max(places) >= numbers.shape[1]:
+    names = [n.strip() for n in lines[ends[1] + 1].split(separator)] if len(lines) > ends[1] + 1 else []
+    rows = [line.split(separator) for line in lines[ends[1] + 2 :] if line.strip(separator + " ")]
+    places = [k for k, n in enumerate(names) if n and n not in ("X_Value", "Comment")]
+    if len(places) != (count := int(_said(head, "Channels", "1"))):
         raise DataError(
-            f"{file}: its header tells of {count} channels, its lines hold fewer; it is cut short or damaged"
+            f"{file}: its header tells of {count} channels, its columns are {_listed(names)}; export it again"
         )
-    if samples := _row(head, "Samples", separator)[:count]:
-        told = int(float(samples[0]))
-        if told != len(numbers):
-            raise DataError(f"{file}: holds {len(numbers)} samples, its header says {told}; it is cut short")
+    told = {k: w for k, w in enumerate(_row(head, "Samples", separator), start=1) if w.strip()}
+    steps, begins, units = (_row(head, key, separator) for key in ("Delta_X", "X0", "Y_Unit_Label"))
     found = {}
-    for k, place in enumerate(places):
-        step = steps[k] if k < len(steps) and steps[k] > 0 else _step(said)
-        name = names[place].strip() or str(k + 1)
-        unit = units[k].strip() if k < len(units) else ""
-        found[name] = Waveform(numbers[:, place], step, begins[k] if k < len(begins) else 0.0, unit)
+    for place in places:
+        cells = [r[place].strip() if place < len(r) else "" for r in rows]
+        if not any(cells):
+            continue
+        samples = _column(file, names[place], cells)
+        size = int(_float(told.get(place, "0")))
+        if size and len(samples) % size:  # several runs may follow each other
+            raise DataError(
+                f"{file}: '{names[place]}' has {len(samples)} samples, its header says {size}; it is cut short"
+            )
+        step = _float(steps[place - 1]) if place <= len(steps) and steps[place - 1].strip() else 0.0
+        if said.sample_rate is not None and (not step or abs(step * said.sample_rate - 1) < _DIGITS):
+            step = 1 / said.sample_rate  # the header prints six digits
+        start = _float(begins[place - 1]) if place <= len(begins) and begins[place - 1].strip() else 0.0
+        unit = units[place - 1].strip() if place <= len(units) else ""
+        name = names[place] if names[place] not in found else f"{names[place]} {place}"
+        found[name] = Waveform(samples, step, start, unit)
+    if not found:
+        raise DataError(f"{file}: has no samples below its header; it is cut short")
     return found
+
+
+def _column(file: Path, name: str, cells: Sequence[str]) -> FloatArray:
+    """Samples of a channel; cells that are empty are NaN."""
+    try:
+        return np.array([_float(c) if c else math.nan for c in cells])
+    except ValueError:
+        bad = next(c for c in cells if c and not _is_float(c.replace(",", ".")))
+        raise DataError(f"{file}: '{bad[:40]}' in channel '{name}' is no number") from None
+
+
+def _float(word: str) -> float:
+    return float(word.strip().replace(",", "."))
 
 
 def _said(head: Sequence[str], key: str, otherwise: str) -> str:

@@ -2,8 +2,7 @@
 
 Each effect is a set of orthonormal contrasts of the cell means; its error is the scatter of the subjects about the mean
 contrast (Maxwell, Delaney and Kelley, Designing Experiments and Analyzing Data, ch. 13). Corrections are those of R's
-car and afex, which differ from Python's packages for interactions of factors with more than two levels: there epsilon
-must come from the covariance of the interaction's own contrasts.
+car and afex; epsilon of an interaction comes from the covariance of the interaction's own contrasts.
 """
 
 from __future__ import annotations
