@@ -1,7 +1,8 @@
 """What runs' G and S err by, held against a much finer mesh of the same scene, beside what each run states of itself.
 
     forearm-fem run thesis --out results/thesis
-    forearm-fem solve thesis --set accuracy=0.007 --set solver.discretisation_estimate=false --out results/finer
+    forearm-fem run thesis --until solve --out results/finer \
+        --set accuracy=0.007 --set solver.discretisation_estimate=false
     python3 benchmarks/overkill.py results/thesis [another run ...] results/finer
 
 Writes benchmarks/results/overkill.csv and prints it. What is stated is of all sources together. The finer mesh errs,

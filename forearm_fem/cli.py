@@ -47,21 +47,39 @@ class _NoEmptyValues(TyperGroup):
         return super().parse_args(ctx, args)
 
 
+class _ByQuestion(_NoEmptyValues):
+    """Lists commands and groups by panel: what is seldom used comes last."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names, those of the panel "More" last."""
+        names = super().list_commands(ctx)
+        return sorted(names, key=lambda name: getattr(self.commands[name], "rich_help_panel", "") == "More")
+
+
 app = typer.Typer(
-    cls=_NoEmptyValues, add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False,
-    help="Simulate vibration in a layered forearm, render on it, and say how wrong each number may be.",
+    cls=_ByQuestion, add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False,
+    help="Simulate vibration in a layered forearm, focus it on a point, and state the error of each number.",
 )  # fmt: skip
 
-for _command in (
-    simulate.run, simulate.mesh, simulate.solve, simulate.render,
-    measured.calibrate, measured.play, measured.loopback, measured.compare, measured.fit,
-    convert.convert,
-    pictures.figures, pictures.show, workbench.workbench, predict.predict, predict.validate,
-    studies.campaign, library.library, design.design, studies.verify,
-    new.new, about.schema, about.doctor,
-):  # fmt: skip
-    app.command()(_command)
-app.add_typer(study.app, name="study")
+_GROUPS = {  # twelve commands by question; the rest below them (docs/reference/commands.md says why)
+    "Simulate": (simulate.run, simulate.render),
+    "Measure": (measured.calibrate, convert.convert),
+    "Compare": (measured.compare, measured.fit),
+    "Look": (pictures.figures, workbench.workbench),
+    "Decide": (predict.predict, design.design),
+    "More": (
+        new.new, pictures.show, studies.campaign, library.library, predict.validate, studies.verify, about.schema,
+        about.doctor,
+    ),
+}  # fmt: skip
+_daq = typer.Typer(cls=_NoEmptyValues, no_args_is_help=True, help="Play drives, and measure latency, with a device.")
+for _panel, _commands in _GROUPS.items():
+    for _command in _commands:
+        app.command(rich_help_panel=_panel)(_command)
+_daq.command()(measured.play)
+_daq.command()(measured.loopback)
+app.add_typer(_daq, name="daq", rich_help_panel="Measure")
+app.add_typer(study.app, name="study", rich_help_panel="People")
 
 
 def main() -> None:

@@ -56,7 +56,7 @@ def load_wavefield(path: Path) -> Wavefield:
                 store["frequency"], store["modes"].astype(float), store["amplitudes"].astype(np.complex128)
             )
     except FileNotFoundError:
-        raise DataError(f"{path}: no such file; run `forearm-fem solve` again") from None
+        raise DataError(f"{path}: no such file; `forearm-fem run` makes it") from None
     except Exception as problem:  # zip, npy and zlib each fail in their own way
         said = str(problem)[:120]
-        raise DataError(f"{path}: not a readable wavefield ({said}); run `forearm-fem solve` again") from None
+        raise DataError(f"{path}: not a readable wavefield ({said}); `forearm-fem run` makes it") from None

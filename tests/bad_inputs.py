@@ -80,7 +80,7 @@ class Case:
     says: tuple[str, ...]
     overrides: tuple[str, ...] = ()
     files: Callable[[Path], None] | None = None
-    command: str = "solve"
+    command: tuple[str, ...] = ("run", "--until", "solve")
     left: tuple[str, ...] = ()  # finished stages that stay
 
 
@@ -145,7 +145,7 @@ CASES: tuple[Case, ...] = (
         LAYERED.replace("frequencies = [100.0]", "f_max = 300.0\nduration = 0.25\nsample_rate = 2000.0"),
         ("nowhere.csv",),
         ("rendering.wavelet.file='nowhere.csv'",),
-        command="render",
+        command=("render",),
     ),
     Case(
         "wavelet file without numbers",
@@ -166,10 +166,12 @@ CASES: tuple[Case, ...] = (
         FOREARM,
         ("thick together",),
         ("limb.layers=[{tissue='fat', thickness=0.05}]",),
-        command="mesh",
+        command=("run", "--until", "mesh"),
     ),
     Case("contact off the slab", SLAB, ("contact A1", "does not lie"), ("device.spacing=0.08",)),
-    Case("contact off the forearm", FOREARM, ("contact A1",), ("device.spacing=0.2",), command="mesh"),
+    Case(
+        "contact off the forearm", FOREARM, ("contact A1",), ("device.spacing=0.2",), command=("run", "--until", "mesh")
+    ),
     Case("contacts overlapping", SLAB, ("contacts A1 and A2", "apart"), ("device.spacing=0.006",)),
     Case("grid point off the slab", SLAB, ("grid point 1",), ("grid.pitch=0.05",)),
     Case("symmetry through contacts beside the plane", SLAB, ("limb.symmetry",), ("limb.symmetry=['x']",)),
@@ -178,7 +180,7 @@ CASES: tuple[Case, ...] = (
         FOREARM,
         ("bone 'radius'",),
         ("limb.bones=[{name='radius', y=0.034, depth=0.023, diameter=0.014}]",),
-        command="mesh",
+        command=("run", "--until", "mesh"),
     ),
     Case(
         "bones through each other",
@@ -188,7 +190,7 @@ CASES: tuple[Case, ...] = (
             "limb.bones=[{name='radius', y=0.0, depth=0.03, diameter=0.014},"
             " {name='ulna', y=0.004, depth=0.03, diameter=0.014}]",
         ),
-        command="mesh",
+        command=("run", "--until", "mesh"),
     ),
     Case(
         "memory limit too small",
@@ -232,7 +234,7 @@ CASES: tuple[Case, ...] = (
         'name = "bad"\nengine = "layered"\n',
         ("GB", "fewer rendering.targets"),
         ("grid.rows=50", "grid.columns=50"),
-        command="render",
+        command=("render",),
     ),
     Case("discs that nearly touch", SLAB, ("contact A1 and A2", "0.4 mm between"), ("device.spacing=0.0074",)),
     Case("disc at the slab's side", SLAB, ("contact A1", "slab's side"), ("device.contacts=[[0.02649, 0.0]]",)),
@@ -296,4 +298,4 @@ def prepare(case: Case, folder: Path) -> list[str]:
     elif case.text is not None:
         (folder / "bad.toml").write_bytes(case.text)
     overrides = [part for item in case.overrides for part in ("--set", item)]
-    return [case.command, "bad.toml", *overrides, "--out", "out"]
+    return [*case.command, "bad.toml", *overrides, "--out", "out"]

@@ -48,7 +48,7 @@ def test_what_the_system_refuses_is_a_sentence_wherever_it_comes_up(tmp_path: Pa
         assert answer.code in (0, 2)  # a dry run writes nothing
     assert cli("run", "x" * 300, cwd=tmp_path).sentence.endswith("File name too long")
     (tmp_path / "small.toml").write_text(SMALL)
-    assert cli("solve", "small.toml", "--out", "y" * 300, cwd=tmp_path).sentence.endswith("File name too long")
+    assert cli("run", "small.toml", "--out", "y" * 300, cwd=tmp_path).sentence.endswith("File name too long")
     assert leftovers(tmp_path) == ["small.toml"]
 
 

@@ -45,7 +45,7 @@ def test_the_help_loads_nothing_heavy() -> None:
 
 def test_the_installed_program_ends_with_its_code() -> None:
     program = [sys.executable, "-m", "forearm_fem.cli"]
-    done = subprocess.run([*program, "solve", "nowhere.toml"], capture_output=True, text=True, check=False)
+    done = subprocess.run([*program, "run", "nowhere.toml"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     names = "halfspace, layered, line, own_arm, quick, thesis"
     assert done.stderr == f"error: nowhere.toml: no such file; by name there are {names}\n"
@@ -60,16 +60,25 @@ def test_the_package_runs_as_the_program() -> None:
 
 def test_help_names_every_command() -> None:
     answer = cli("--help")
-    names = ("run", "mesh", "solve", "render", "calibrate", "play", "compare", "fit", "figures", "show", "verify",
-             "campaign", "schema", "doctor")  # fmt: skip
+    names = ("run", "render", "calibrate", "daq", "compare", "fit", "figures", "workbench", "predict", "design",
+             "study", "new", "show", "verify", "campaign", "schema", "doctor")  # fmt: skip
     assert answer.code == 0
     assert all(f" {name} " in answer.out for name in names)
+
+
+def test_an_unknown_command_suggests_the_nearest() -> None:
+    assert "'render'" in cli("rendr").sentence
+
+
+@pytest.mark.parametrize("option", [("--dry-run",), ("--library", "small.toml")])
+def test_a_stage_to_stop_after_refuses_what_it_would_ignore(scene: Path, option: tuple[str, ...]) -> None:
+    assert "--until: has no effect" in cli("run", "small.toml", "--until", "solve", *option, cwd=scene).sentence
 
 
 def test_no_command_is_answered_with_the_help_alone() -> None:
     answer = cli()
     assert answer.code == 2
-    assert "Commands" in answer.out
+    assert "Simulate" in answer.out
     assert "error" not in answer.err
 
 
@@ -114,7 +123,7 @@ def test_dry_run_solves_and_writes_nothing(scene: Path) -> None:
 
 
 def test_solve_states_the_error_and_the_file(solved: Path) -> None:
-    answer = cli("solve", "small.toml", cwd=solved)
+    answer = cli("run", "--until", "solve", "small.toml", cwd=solved)
     assert answer.code == 0
     assert "quadrature" in answer.out
     assert "met" in answer.out
@@ -147,7 +156,7 @@ def test_ctrl_c_in_compiled_code_is_an_interruption(scene: Path, monkeypatch: py
         raise SystemError("CPUDispatcher(<function>) returned a result with an exception set") from KeyboardInterrupt()
 
     monkeypatch.setattr("forearm_fem.pipeline.folder.run_solve", compiled)
-    answer = cli("solve", "small.toml", cwd=scene)
+    answer = cli("run", "--until", "solve", "small.toml", cwd=scene)
     assert (answer.code, "interrupted; what was finished is kept" in answer.err) == (130, True), answer.err
 
 
@@ -163,13 +172,15 @@ def test_ctrl_c_that_ends_in_another_errors_name_is_an_interruption(
         raise NameError("name '_ndimage_api' is not defined")
 
     monkeypatch.setattr("forearm_fem.pipeline.folder.run_solve", importing)
-    answer = cli("solve", "small.toml", cwd=scene)
+    answer = cli("run", "--until", "solve", "small.toml", cwd=scene)
     assert (answer.code, "interrupted; what was finished is kept" in answer.err) == (130, True), answer.err
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_overrides_reach_the_scenario(scene: Path) -> None:
-    answer = cli("solve", "small.toml", "--set", "device.spacing=0.04", "--set", "name=other", cwd=scene)
+    answer = cli(
+        "run", "--until", "solve", "small.toml", "--set", "device.spacing=0.04", "--set", "name=other", cwd=scene
+    )
     assert answer.code == 0, answer.err
     g = read_transfer(scene / "results/other/transfer.nc")
     assert {abs(p.position[0]) for p in g.inputs} == {0.02}
@@ -177,7 +188,7 @@ def test_overrides_reach_the_scenario(scene: Path) -> None:
 
 def test_an_override_changes_g_and_out_chooses_the_folder(solved: Path, tmp_path: Path) -> None:
     out = tmp_path / "elsewhere"
-    cli("solve", "small.toml", "--set", "tissues.override.skin.mu=26e3", "--out", out, cwd=solved)
+    cli("run", "--until", "solve", "small.toml", "--set", "tissues.override.skin.mu=26e3", "--out", out, cwd=solved)
     soft, stiff = (read_transfer(f / "transfer.nc") for f in (solved / "results/small", out))
     near, far = (abs(g.values[5, 0, 0]) for g in (stiff, soft))
     assert near != pytest.approx(far, rel=1e-3)
@@ -193,13 +204,13 @@ def test_an_override_changes_g_and_out_chooses_the_folder(solved: Path, tmp_path
     ],
 )
 def test_bad_overrides_are_one_sentence(scene: Path, item: str, says: str) -> None:
-    answer = cli("solve", "small.toml", "--set", item, cwd=scene)
+    answer = cli("run", "--until", "solve", "small.toml", "--set", item, cwd=scene)
     assert answer.code == 2
     assert says in answer.sentence
     assert leftovers(scene) == ["small.toml"]
 
 
-@pytest.mark.parametrize("arguments", [("solve",), ("solve", "small.toml", "--sett", "a=1"), ("sovle", "small.toml")])
+@pytest.mark.parametrize("arguments", [("run",), ("run", "small.toml", "--sett", "a=1"), ("rnu", "small.toml")])
 def test_misuse_is_one_sentence(scene: Path, arguments: tuple[str, ...]) -> None:
     answer = cli(*arguments, cwd=scene)
     assert answer.code == 2
@@ -228,7 +239,7 @@ def test_an_interruption_ends_with_130(scene: Path, monkeypatch: pytest.MonkeyPa
         raise KeyboardInterrupt
 
     monkeypatch.setattr("forearm_fem.pipeline.folder.simulate", interrupted)
-    answer = cli("solve", "small.toml", cwd=scene)
+    answer = cli("run", "--until", "solve", "small.toml", cwd=scene)
     assert answer.code == 130
     assert "interrupted" in answer.err
     assert leftovers(scene) == ["small.toml"]
@@ -239,14 +250,14 @@ def test_running_out_of_memory_is_one_sentence(scene: Path, monkeypatch: pytest.
         raise MemoryError
 
     monkeypatch.setattr("forearm_fem.pipeline.folder.simulate", exhausted)
-    answer = cli("solve", "small.toml", cwd=scene)
+    answer = cli("run", "--until", "solve", "small.toml", cwd=scene)
     assert answer.code == 2
     assert "memory" in answer.sentence
 
 
 def test_a_results_folder_that_is_a_file_is_one_sentence(scene: Path) -> None:
     (scene / "taken").write_text("mine")
-    answer = cli("solve", "small.toml", "--out", "taken", cwd=scene)
+    answer = cli("run", "--until", "solve", "small.toml", "--out", "taken", cwd=scene)
     assert answer.code == 2
     assert "cannot be written" in answer.sentence
     assert (scene / "taken").read_text() == "mine"

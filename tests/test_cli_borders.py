@@ -15,7 +15,6 @@ from cli_runner import SMALL, cli, every_command, leftovers
 from scipy.io import savemat
 
 from forearm_fem import cli as program
-from forearm_fem.commands import study
 from forearm_fem.geometry.device.layout import planform_ports
 from forearm_fem.ports import Port
 from forearm_fem.scenario import load_scenario
@@ -28,7 +27,7 @@ STUDY = 'name = "s"\nscenario = "small.toml"\ntransfer = "lab.csv"\n'
 SAID = ("unit='um/V'", "sign='+iwt'", "spectrum='one-sided'")
 LINES = {  # every command that reads a G, with a file that says nothing of itself
     "calibrate": ("small.toml", "--through", "lab.csv"),
-    "play": ("small.toml", "drives.nc", "--through", "lab.csv"),
+    "daq play": ("small.toml", "drives.nc", "--through", "lab.csv"),
     "compare": ("lab.csv", "lab.csv", "--scenario", "small.toml"),
     "render": ("lab.csv", "--scenario", "small.toml"),
     "fit": ("small.toml", "lab.csv", "scale"),
@@ -58,8 +57,8 @@ def declared(said: tuple[str, ...], command: str) -> list[str]:
 
 def bodies() -> dict[str, Any]:
     """What holds each command's function, by the command's name."""
-    named = [("", program.app), ("study ", study.app)]
-    return {f"{b}{i.callback.__name__}": i for b, app in named for i in app.registered_commands if i.callback}
+    groups = [("", program.app), *((f"{g.name} ", g.typer_instance) for g in program.app.registered_groups)]
+    return {f"{b}{i.callback.__name__}": i for b, app in groups for i in app.registered_commands if i.callback}
 
 
 def paths() -> list[tuple[str, Any]]:
@@ -92,7 +91,7 @@ def test_what_a_file_does_not_say_is_asked_for_at_once_and_can_be_said(lab: Path
 
 def test_all_commands_ask_by_the_same_option() -> None:
     texts = {
-        re.sub("a file|A|B", "X", p.help, count=1)
+        re.sub("a file|the first|the second", "X", p.help, count=1)
         for _, command in every_command()
         for p in command.params
         if p.name.startswith("declare")
@@ -144,7 +143,8 @@ def test_a_missing_file_is_said_before_the_command_begins(
             named = [p.opts[0]] if p.param_type_name == "option" else []
             fitting = {"scenario": "small.toml", "file": "small.toml", "pilot": ".", "participant": "01"}
             there = fitting.get(p.name, "lab.csv")
-            words += [*named, "missing.toml" if p.name == given.name else there]
+            twice = [there] if p.nargs == -1 else []  # two are compared
+            words += [*named, *twice, "missing.toml" if p.name == given.name else there]
     before = leftovers(lab)
     answer = cli(*words, cwd=lab)
     assert (answer.code, "missing.toml" in answer.sentence) == (2, True)
@@ -217,7 +217,7 @@ def test_what_is_of_another_kind_is_called_by_its_name(lab: Path, line: Any, sai
         ("workbench", ".", "--save", "small.toml"),
         ("validate", "small.toml", "--page", "small.toml"),
         ("library", "small.toml", "--out", "small.toml"),
-        ("loopback", "small.toml", "--out", "small.toml"),
+        ("daq", "loopback", "small.toml", "--out", "small.toml"),
     ],
 )
 def test_no_file_that_was_given_is_written_over(lab: Path, line: Any) -> None:
@@ -237,7 +237,7 @@ def stored_g(file: Path, **provenance: Any) -> bytes:
 @pytest.mark.parametrize(
     ("line", "provenance", "said"),
     [
-        (("solve", "small.toml", "--out", "."), {"source": "measured"}, "holds a measured G"),
+        (("run", "--until", "solve", "small.toml", "--out", "."), {"source": "measured"}, "holds a measured G"),
         (("calibrate", "small.toml", "--through", "lab.nc", "--out", "."), {"scenario": {}}, "holds a G of a run"),
         (("library", "small.toml", "--set", "engine=fem", "--out", "transfer.nc"), {}, "is there and no library"),
     ],
@@ -256,13 +256,19 @@ def test_a_g_of_another_origin_is_not_replaced(lab: Path, line: Any, provenance:
     ("line", "said"),
     [
         (("calibrate", "small.toml", "--card", "3"), "--card: has no effect with --daq virtual"),
-        (("play", "small.toml", "drives.nc", "--daq", "sound", "--through", "lab.csv"), "--through: has no effect"),
+        (
+            ("daq", "play", "small.toml", "drives.nc", "--daq", "sound", "--through", "lab.csv"),
+            "--through: has no effect",
+        ),
         (("library", "small.toml"), "engine: a library is made of finite elements"),
         (("verify", "--out", "small.toml"), "small.toml: cannot be written"),
         (("calibrate", "small.toml", "--daq", "ni", "--snr", "40"), "--snr: has no effect with --daq ni"),
         (("calibrate", "small.toml", "--daq", "sound", "--declare", "unit=m/V"), "--declare: has no effect with"),
         (("calibrate", "small.toml", "--loopback", "lab.csv"), "--loopback: has no effect with --daq virtual"),
-        (("play", "small.toml", "drives.nc", "--daq", "ni", "--snr", "40"), "--snr: has no effect with --daq ni"),
+        (
+            ("daq", "play", "small.toml", "drives.nc", "--daq", "ni", "--snr", "40"),
+            "--snr: has no effect with --daq ni",
+        ),
         (("figures", ".", "--format", ","), "--format: expected names between the commas"),
         (("figures", ".", "--only", ","), "--only: expected names between the commas"),
         (("figures", ".", "--over", "transfer=a.csv", "--over", "transfer=b.csv"), "--over: names a figure twice"),

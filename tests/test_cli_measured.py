@@ -87,6 +87,8 @@ def test_compare_takes_folders_and_files(lab: Path) -> None:
 
 def test_two_engines_of_one_scenario_compare(lab: Path) -> None:
     cli(
+        "run",
+        "--until",
         "solve",
         "small.toml",
         "--set",
@@ -151,13 +153,14 @@ def test_a_table_without_places_takes_those_of_the_scenario_that_is_named(lab: P
 
 def test_play_says_what_makes_drives_before_it_solves(lab: Path, tmp_path: Path) -> None:
     (tmp_path / "bare").mkdir()
-    answer = cli("play", "small.toml", tmp_path / "bare", "--method", "funneling", cwd=lab)
+    answer = cli("daq", "play", "small.toml", tmp_path / "bare", "--method", "funneling", cwd=lab)
     assert answer.code == 2
     assert "`forearm-fem render` makes a drives.nc" in answer.sentence
 
 
 def test_play_obeys_the_voltage_limit(lab: Path) -> None:
     common = (
+        "daq",
         "play",
         "small.toml",
         "results/small",

@@ -85,7 +85,7 @@ def test_what_could_not_be_estimated_is_unknown_in_every_file(cold, monkeypatch)
         assert "lower mesh.min_quality" in text
     assert any("discretisation is unknown" in note for note in account["notes"])
     assert "discretisation is unknown" in told[1]  # notes are in the report of a run without renderers
-    shown = CliRunner().invoke(app, ["solve", str(file), "--out", str(cold / "out")])
+    shown = CliRunner().invoke(app, ["run", "--until", "solve", str(file), "--out", str(cold / "out")])
     assert "band unknown" in shown.output
 
 

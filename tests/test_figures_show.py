@@ -207,7 +207,7 @@ def test_without_a_field_it_says_so(folder: Path, tmp_path: Path) -> None:  # no
     for file in folder.iterdir():
         if file.name != "wavefield.npz":
             shutil.copy(file, tmp_path / file.name)
-    with pytest.raises(DataError, match=r"wavefield\.npz is missing.*forearm-fem solve"):
+    with pytest.raises(DataError, match=r"wavefield\.npz is missing.*forearm-fem run"):
         render_still(tmp_path)
 
 

@@ -165,7 +165,7 @@ def test_a_calibration_through_a_sound_card_finds_g(lab, monkeypatch):
     assert answer.code == 2
     assert "a sound card's latency is unknown" in answer.sentence
     card.gain = 0.93
-    done = cli("loopback", "small.toml", cwd=lab)
+    done = cli("daq", "loopback", "small.toml", cwd=lab)
     assert done.code == 0, done.err
     assert "latency 137.00 samples" in done.out
     truth = read_transfer(lab / "results/small/transfer.nc")
@@ -182,7 +182,7 @@ def test_a_calibration_through_a_sound_card_finds_g(lab, monkeypatch):
     asked = ("calibrate", "small.toml", "--daq", "sound", "--loopback", "loopback.json", "--yes", "--out", "h")
     other = cli(*asked, cwd=lab)
     assert other.code == 2
-    assert "run `forearm-fem loopback` again" in other.sentence
+    assert "run `forearm-fem daq loopback` again" in other.sentence
 
 
 def test_play_sends_the_drives_to_the_cards_channels(lab, monkeypatch):
@@ -190,7 +190,7 @@ def test_play_sends_the_drives_to_the_cards_channels(lab, monkeypatch):
     card = StandIn()
     monkeypatch.setitem(sys.modules, "sounddevice", card)
     options = ("--method", "funneling", "--target", "1", "--repeats", "2", "--pause", "0.1")
-    done = cli("play", "small.toml", "results/small/drives.nc", "--daq", "sound", *options, cwd=lab)
+    done = cli("daq", "play", "small.toml", "results/small/drives.nc", "--daq", "sound", *options, cwd=lab)
     assert done.code == 0, done.err
     drives = read_drives(lab / "results/small/drives.nc").values[0, 0]
     sent = 10.0 * np.concatenate(card.heard)[2000:]  # two silent blocks of 1000 samples first

@@ -252,7 +252,7 @@ def test_a_study_from_nothing_to_its_page_from_the_command_line(tmp_path):
     """solve, new, stimuli, answers of simulated people as jsPsych writes them, analyse, power: no traceback."""
     (tmp_path / "flat.toml").write_text(_SCENE)
     run, file = CliRunner().invoke, tmp_path / "pilot.toml"
-    solved = run(app, ["solve", str(tmp_path / "flat.toml"), "--out", str(tmp_path / "g")])
+    solved = run(app, ["run", "--until", "solve", str(tmp_path / "flat.toml"), "--out", str(tmp_path / "g")])
     assert solved.exit_code == 0, solved.output
     words = ["--scenario", "flat.toml", "--folder", str(tmp_path), "--transfer", str(tmp_path / "g")]
     made = run(app, ["study", "new", "pilot", *words])

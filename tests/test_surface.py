@@ -57,6 +57,26 @@ class Softer:
         found = LayeredEngine().compliance(scenario, frequency)
         return replace(found, values=2 * found.values)
 '''
+READER = '''
+import numpy as np
+
+from forearm_fem.files import RawMatrix, Reader
+
+
+class LabFile(Reader):
+    """Numbers of our own vibrometer: frequency, then real and imaginary part of each entry, point by point."""
+
+    kind = "our vibrometer's files"
+    endings = (".vib",)
+
+    def raw(self, file, said):
+        rows = np.loadtxt(file)
+        values = rows[:, 1::2] + 1j * rows[:, 2::2]
+        return RawMatrix(
+            str(file), values.reshape(len(rows), -1, 4), rows[:, 0], ("frequency", "output", "input"),
+            unit="m/V", sign="+iwt", spectrum="one-sided",
+        )
+'''
 LAW = '''
 from dataclasses import dataclass
 
@@ -83,6 +103,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("user")
     (folder / "mine.py").write_text(RENDERER)
     (folder / "law.py").write_text(LAW)
+    (folder / "lab.py").write_text(READER)
     (folder / "soft.py").write_text(ENGINE)
     (folder / "small.toml").write_text(SMALL)
     return folder
@@ -162,9 +183,25 @@ def test_an_engine_of_one_s_own_answers_for_a_scenario(home: Path, simulation: S
     scenario = load_scenario(home / "soft.toml")
     layered = simulate(scenario.changed({"engine": "layered"})).transfer.values
     np.testing.assert_allclose(simulate(scenario).transfer.values, 2 * layered, rtol=1e-12)
-    assert cli("solve", home / "soft.toml", "--out", tmp_path / "out").code == 0
+    assert cli("run", "--until", "solve", home / "soft.toml", "--out", tmp_path / "out").code == 0
     with pytest.raises(ScenarioError, match="ends at 300 Hz"):
         simulate(scenario.changed({"sweep.f_max": 400.0}))
+
+
+def test_a_file_of_one_s_own_format_is_read(home: Path, simulation: Simulation, tmp_path: Path):
+    """To the last digit, and by the command line to S."""
+    g = simulation.transfer
+    flat = g.values.reshape(len(g.frequency), -1)
+    pairs = np.stack([flat.real, flat.imag], axis=2).reshape(len(g.frequency), -1)
+    np.savetxt(tmp_path / "g.vib", np.column_stack([g.frequency, pairs]), fmt="%.17g")
+    code = f"{home / 'lab.py'}:LabFile"
+    found = read(tmp_path / "g.vib", scenario=simulation.scenario, reader=code)
+    assert np.array_equal(found.values, g.values)
+    said = ("--scenario", home / "small.toml", "--declare", f"reader={code}", "--out", tmp_path / "out")
+    answer = cli("render", tmp_path / "g.vib", *said)
+    assert answer.code == 0, answer.err
+    with pytest.raises(DataError, match="is no reader"):
+        read(tmp_path / "g.vib", scenario=simulation.scenario, reader=f"{home / 'law.py'}:Stiffening")
 
 
 @pytest.mark.parametrize("engine", [LayeredEngine(), FemEngine(), TwinArm(), LayeredArm()])

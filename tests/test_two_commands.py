@@ -53,12 +53,12 @@ def holder(scene: Path) -> Iterator[subprocess.Popen[str]]:
 
 def test_a_second_command_gets_one_sentence_and_touches_nothing(scene: Path, holder: subprocess.Popen[str]) -> None:
     before = leftovers(scene)
-    answer = cli("solve", "small.toml", cwd=scene)
+    answer = cli("run", "--until", "solve", "small.toml", cwd=scene)
     assert answer.code == 2
     assert f"process {holder.pid}" in answer.sentence or os.name == "nt"
     assert "--out" in answer.sentence
     assert leftovers(scene) == before
-    assert cli("solve", "small.toml", "--out", "elsewhere", cwd=scene).code == 0
+    assert cli("run", "--until", "solve", "small.toml", "--out", "elsewhere", cwd=scene).code == 0
 
 
 @posix
@@ -66,7 +66,7 @@ def test_a_killed_command_leaves_no_lock_that_blocks(scene: Path, holder: subpro
     holder.send_signal(signal.SIGKILL)
     holder.wait()
     assert (scene / "results/small/.lock").exists()  # nobody could remove it
-    assert cli("solve", "small.toml", cwd=scene).code == 0
+    assert cli("run", "--until", "solve", "small.toml", cwd=scene).code == 0
     assert ".lock" not in {Path(name).name for name in leftovers(scene)}
 
 
@@ -107,7 +107,7 @@ def test_what_is_set_has_a_folder_of_its_own() -> None:
 
 def test_files_of_another_scenario_leave_the_folder(scene: Path) -> None:
     cli("render", "small.toml", "--out", "one", cwd=scene)
-    answer = cli("solve", "small.toml", "--set", "device.spacing=0.05", "--out", "one", cwd=scene)
+    answer = cli("run", "--until", "solve", "small.toml", "--set", "device.spacing=0.05", "--out", "one", cwd=scene)
     assert "drives.nc" in answer.err
     assert not {"drives.nc", "displacements.nc", "signal_strength.csv"} & set(leftovers(scene / "one"))
     assert {abs(p.position[0]) for p in read_transfer(scene / "one/transfer.nc").inputs} == {0.025}
@@ -174,7 +174,7 @@ def test_nothing_of_another_scenario_stays_beside_a_run(tmp_path: Path) -> None:
     (figures / "mine.png").touch()
     (figures / "target-7.csv").touch()
     assert {"transfer.png", "figure-6.png"} <= {p.name for p in figures.iterdir()}
-    again = cli("solve", "flat.toml", "--set", "device.spacing=0.05", "--out", "one", cwd=tmp_path)
+    again = cli("run", "--until", "solve", "flat.toml", "--set", "device.spacing=0.05", "--out", "one", cwd=tmp_path)
     assert {p.name for p in figures.iterdir()} == {"mine.png"}
     assert not list((tmp_path / "one").glob("*.sha256"))
     assert "figures/figure-6.png" in again.out + again.err

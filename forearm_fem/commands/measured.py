@@ -44,8 +44,8 @@ DaqChoice = Annotated[
 Card = Annotated[str | None, typer.Option("--card", help="sound: name or number of the card; default: the system's")]
 Cable = Annotated[
     Path | None,
-    typer.Option("--loopback", help="record of `forearm-fem loopback`: its latency and gain are taken off",
-                 callback=there("no such file; `forearm-fem loopback SCENARIO` makes one")),
+    typer.Option("--loopback", help="record of `forearm-fem daq loopback`: its latency and gain are taken off",
+                 callback=there("no such file; `forearm-fem daq loopback SCENARIO` makes one")),
 ]  # fmt: skip
 Through = Annotated[
     Path | None,

@@ -1,9 +1,9 @@
-"""run, mesh, solve, render: from a scenario to a results folder."""
+"""run and render: from a scenario to a results folder."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -27,6 +27,8 @@ from .common import (
     transfer_file,
 )
 
+Until = Literal["mesh", "solve"]
+
 if TYPE_CHECKING:
     from ..engines.forecast import Forecast
     from ..pipeline.folder import Run
@@ -38,9 +40,16 @@ def run(
     out: OutFolder = None,
     library: LibraryFile = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="print size, cost and resolution; solve nothing")] = False,
+    until: Annotated[Until | None, typer.Option(help="stop after this stage")] = None,
 ) -> None:
     """The main job: mesh, solve, render, figures and report."""
     asked = load_scenario(scenario, overrides=overrides or ())
+    if until is not None:
+        for option, given in (("--dry-run", dry_run), ("--library", library is not None)):
+            if given:
+                raise DataError(f"--until: has no effect with {option}; leave one of them out")
+        _until(asked, scenario, until, out, overrides)
+        return
     if dry_run:
         from ..pipeline.folder import check_rendering
         from ..pipeline.notes import scene_notes
@@ -65,23 +74,17 @@ def run(
         _print_answer(job)
 
 
-def mesh(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = None) -> None:
-    """Make or find the mesh and write mesh.vtu."""
-    from ..pipeline.folder import run_mesh
-
-    asked = load_scenario(scenario, overrides=overrides or ())
-    with stage(asked, scenario, out, run_mesh, overrides) as job:
-        _print_forecast(asked, _expected(asked, scenario.parent))
-        if asked.engine == "fem":
-            typer.echo(f"mesh: {job.out / 'mesh.vtu'}")
-
-
-def solve(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = None) -> None:
-    """Solve for G and its errors, reusing what is there."""
-    from ..pipeline.folder import run_solve
+def _until(asked: Scenario, scenario: Path, last: Until, out: Path | None, overrides: Overrides) -> None:
+    """Stop after the mesh or the solution, and print what that gave."""
+    from ..pipeline.folder import run_mesh, run_solve
     from ..results import read_run
 
-    asked = load_scenario(scenario, overrides=overrides or ())
+    if last == "mesh":
+        with stage(asked, scenario, out, run_mesh, overrides) as job:
+            _print_forecast(asked, _expected(asked, scenario.parent))
+            if asked.engine == "fem":
+                typer.echo(f"mesh: {job.out / 'mesh.vtu'}")
+        return
     with stage(asked, scenario, out, run_solve, overrides) as job:
         account = read_run(job.out / "run.json")
         for error in account.errors:

@@ -126,8 +126,8 @@ def run(
     card: Annotated[str | None, typer.Option("--card", help="sound: name or number of the card")] = None,
     cable: Annotated[
         Path | None,
-        typer.Option("--loopback", help="record of `forearm-fem loopback`, kept with the answers",
-                     callback=there("no such file; `forearm-fem loopback SCENARIO` makes one")),
+        typer.Option("--loopback", help="record of `forearm-fem daq loopback`, kept with the answers",
+                     callback=there("no such file; `forearm-fem daq loopback SCENARIO` makes one")),
     ] = None,
     declare: Declared = None,
     data: Data = None,
@@ -157,7 +157,7 @@ def run(
     with held as (session, made):
         if session.back_end.latency_basis == "unknown":
             print_notes(
-                ["the device's latency was not measured and is kept as unknown; `forearm-fem loopback` measures it"]
+                ["the device's latency was not measured and is kept as unknown; `forearm-fem daq loopback` measures it"]
             )
         motions = {k: s.moved for k, s in made.stimuli.items()}
         (print_notes if max(apart(motions).values()) > AUDIBLE else _echoed)([told(motions)])

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from ..errors import DataError
 from ..ports import Port
-from ..scenario.base import Part, Positive
+from ..scenario.base import Part, Positive, UserCode
 from ..scenario.measurement import Quantity
 from ..typing import BoolArray, ComplexArray, FloatArray
 
@@ -33,6 +33,9 @@ class PortDeclaration(Part):
 class Declaration(Part):
     """What the user knows about a file. Left out: the file must say it itself, or a DataError asks."""
 
+    reader: UserCode | None = Field(
+        default=None, description="your own class that reads the file, as module:Name: a format of your own"
+    )
     quantity: Quantity | None = Field(
         default=None, description="what the numerator is; not needed where the unit says it"
     )
@@ -92,8 +95,8 @@ class Declaration(Part):
 
 
 EVERY = frozenset({
-    "quantity", "unit", "arbitrary_gain", "spectrum", "sign", "band", "outputs", "inputs", "points", "actuators",
-    "roving",
+    "reader", "quantity", "unit", "arbitrary_gain", "spectrum", "sign", "band", "outputs", "inputs", "points",
+    "actuators", "roving",
 })  # fmt: skip
 """What may be declared of a file of any kind."""
 SWEEPS = frozenset({"drive", "response", "drive_is_measured", "full_scale", "skip"})

@@ -18,6 +18,7 @@ from ..scenario import Scenario
 from ..store.record import said_content
 from ..store.results import read_transfer, write_transfer
 from ..transfer import TransferMatrix
+from ..usercode import named
 from .arrays import Hdf5Reader, MatReader, NpyReader, NpzReader
 from .declaration import SWEEPS, Declaration, Ports
 from .joining import estimated, joined, named_files
@@ -125,7 +126,7 @@ def read(
 
 
 def _alone(file: Path, said: Declaration, ports: Ports | None, scenario: Scenario | None) -> TransferMatrix:
-    reader = reader_of(file)
+    reader = reader_of(file) if said.reader is None else user_reader(said.reader, file)
     if said.drive is not None or said.response is not None or (scenario and file.suffix.lower() in _TIMED):
         return together([file], said, ports, scenario)
     return reader.read(file, said, ports)
@@ -148,7 +149,7 @@ def together(
         return estimated(named, said, scenario, ports)
     if idle := [k for k in sorted(SWEEPS) if getattr(said, k) != getattr(Declaration(), k)]:
         raise DataError(f"{files[0]}: {idle[0]} has an effect on raw sweeps alone, with a drive and a response")
-    return joined(reader_of, named, said, ports)
+    return joined(lambda f: reader_of(f) if said.reader is None else user_reader(said.reader, f), named, said, ports)
 
 
 def several(place: Path) -> list[Path] | None:
@@ -163,7 +164,7 @@ def several(place: Path) -> list[Path] | None:
         kinds = sorted({f.suffix.lower() for f in found})
         if not found:
             raise DataError(
-                f"{place}: no transfer.nc in this folder, nor files of a known kind; `forearm-fem solve` makes one, or "
+                f"{place}: no transfer.nc in this folder, nor files of a known kind; `forearm-fem run` makes one, or "
                 "name a file"
             )
         if len(kinds) > 1:
@@ -181,6 +182,16 @@ def several(place: Path) -> list[Path] | None:
 
 def _words(name: str) -> list[str]:
     return re.split(r"(\d+)", name)
+
+
+def user_reader(code: str, file: Path) -> Reader:
+    """The user's own class ``code``, a :class:`.Reader`, for a ``file`` that is there; DataError for anything else."""
+    made = named(code, "reader")
+    if not (isinstance(made, type) and issubclass(made, Reader)):
+        raise DataError(f"reader: {code} is no reader; write a class that inherits from forearm_fem.files.Reader")
+    if not file.is_file():
+        raise DataError(f"{file}: no such file")
+    return made()
 
 
 def reader_of(file: Path) -> Reader:

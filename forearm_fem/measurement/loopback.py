@@ -99,7 +99,7 @@ def read_loopback(path: str | Path) -> Loopback:
         latency, gain, residual, rate = (float(kept[k]) for k in ("latency", "gain", "residual", "sample_rate"))
         found = Loopback(latency, gain, residual, str(kept["device"]), rate, str(kept["taken"]))
     except (KeyError, TypeError, ValueError):
-        raise DataError(f"{path}: no record of a loopback; `forearm-fem loopback SCENARIO` makes one") from None
+        raise DataError(f"{path}: no record of a loopback; `forearm-fem daq loopback SCENARIO` makes one") from None
     if not (np.isfinite([latency, gain, residual, rate]).all() and gain != 0 and rate > 0):
         raise DataError(f"{path}: latency, gain and rate must be finite and not zero; measure it again")
     return found
@@ -110,7 +110,7 @@ def check_belongs(found: Loopback, daq: Daq, sample_rate: float) -> None:
     if found.device != daq.name or abs(found.sample_rate / sample_rate - 1) > 1e-6:
         raise HardwareError(
             f"the loopback was measured on '{found.device[:60]}' at {found.sample_rate:g} Hz, this is "
-            f"'{daq.name[:60]}' at {sample_rate:g} Hz; run `forearm-fem loopback` again"
+            f"'{daq.name[:60]}' at {sample_rate:g} Hz; run `forearm-fem daq loopback` again"
         )
 
 
