@@ -27,6 +27,7 @@ STUDY = 'name = "s"\nscenario = "small.toml"\ntransfer = "lab.csv"\n'
 SAID = ("unit='um/V'", "sign='+iwt'", "spectrum='one-sided'")
 LINES = {  # every command that reads a G, with a file that says nothing of itself
     "calibrate": ("small.toml", "--through", "lab.csv"),
+    "convert": ("lab.csv", "lab.mat", "--scenario", "small.toml"),
     "daq play": ("small.toml", "drives.nc", "--through", "lab.csv"),
     "compare": ("lab.csv", "lab.csv", "--scenario", "small.toml"),
     "render": ("lab.csv", "--scenario", "small.toml"),

@@ -10,7 +10,7 @@ import typer
 
 from ..errors import DataError
 from ..scenario import apply_overrides, load_scenario, scenario_file
-from .common import Declared, Overrides, declaration, noted, refuse_folder, transfer_file
+from .common import Declared, Overrides, declaration, holds_g, noted, refuse_folder, transfer_file
 
 _ENDINGS = (".nc", ".csv", ".mat")
 
@@ -25,7 +25,8 @@ def _writable(file: Path) -> Path:
 def convert(
     source: Annotated[
         Path,
-        typer.Argument(metavar="IN", help="a file of any known kind, a results folder, a folder or pattern of files"),
+        typer.Argument(metavar="IN", callback=holds_g,
+                       help="G: a file of any known kind, a results folder, or a folder or pattern of files"),
     ],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="G.nc, G.csv or G.mat", callback=_writable)],
     scenario: Annotated[

@@ -112,9 +112,10 @@ def _part(raw: RawMatrix, declaration: Declaration, known: Ports) -> TransferMat
     ordered = _ordered(named, declaration, len(outputs), len(inputs))
     ordered, frequency = _united(ordered, _frequency(ordered, declaration))
     one_sided = _one_sided(ordered, frequency, _agreed(raw, declaration, "spectrum"))
+    part = _metres(one_sided, declaration, outputs, inputs)
     if odd := _odd(ordered, outputs, inputs):
         warnings.warn(f"{raw.name}: {odd}", AccuracyWarning, stacklevel=4)
-    return _metres(one_sided, declaration, outputs, inputs)
+    return part
 
 
 def _rows(result: Any, rows: Any) -> dict[str, Any]:
