@@ -62,7 +62,7 @@ def child(scenario: Path, out: Path, told: Path) -> None:
 
         progress("import", 0, 1)
         from forearm_fem.fem.kernels.compiled import freed_memory_kept
-        from forearm_fem.pipeline.folder import Run, run_all
+        from forearm_fem.questions.run import Run, run_all
         from forearm_fem.scenario import load_scenario
 
         progress("start", 0, 1)

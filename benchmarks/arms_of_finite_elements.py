@@ -25,11 +25,10 @@ from forearm_fem.device import close_loop
 from forearm_fem.engines.fem import solve_fem
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.device.place import place_ports
-from forearm_fem.prediction.arm import Answer, ReducedArm, arm_model, on_mesh_of
-from forearm_fem.prediction.draws import draw_inputs, scenario_of
-from forearm_fem.prediction.outcome import Setup, setup_of
-from forearm_fem.prediction.priors import load_priors
-from forearm_fem.prediction.run import expanded
+from forearm_fem.questions.predict.arm import Answer, ReducedArm, arm_model, on_mesh_of
+from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of
+from forearm_fem.questions.predict.outcome import Setup, setup_of
+from forearm_fem.questions.predict.run import expanded
 from forearm_fem.rendering import strengths
 from forearm_fem.rendering.interval import interval
 from forearm_fem.scenario import Scenario, parse_scenario

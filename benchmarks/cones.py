@@ -21,13 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from forearm_fem.accuracy.perturbed import relative_error_at
+from forearm_fem.accuracy.estimates import relative_error_at
 from forearm_fem.device import close_loop
 from forearm_fem.engines.layered import solve_layered
+from forearm_fem.engines.simulation import with_device
 from forearm_fem.engines.solved import Solved, solve
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
-from forearm_fem.pipeline.simulation import with_device
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.transfer import Compliance, TransferMatrix, band_error, relative_error, total_error

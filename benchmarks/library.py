@@ -23,8 +23,7 @@ import numpy as np
 
 from forearm_fem.engines.library import ArmLibrary, load_library, make_library, save_library
 from forearm_fem.engines.library.arm import library_skin
-from forearm_fem.pipeline import simulate
-from forearm_fem.pipeline.simulation import account_of, render_transfer
+from forearm_fem.engines.simulation import account_of, render_transfer, simulate
 from forearm_fem.ports import positions
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.transfer import band_error, relative_error, total_error

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from forearm_fem.pipeline.simulation import render_transfer
+from forearm_fem.engines.simulation import render_transfer
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.store.results import read_transfer
 from forearm_fem.store.text import read_json

@@ -21,9 +21,14 @@ from forearm_fem.device import close_loop
 from forearm_fem.engines.fem import fem_model
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.cache import cached_mesh
-from forearm_fem.questions.compare.adapters import ScenarioModel, common_parameters, fem_compliance_of, fem_model_for
 from forearm_fem.questions.compare.fit import FitResult, fit
-from forearm_fem.questions.compare.parameters import Parameter
+from forearm_fem.questions.compare.parameters import (
+    Parameter,
+    ScenarioModel,
+    common_parameters,
+    fem_compliance_of,
+    fem_model_for,
+)
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.transfer import Compliance, TransferMatrix
 

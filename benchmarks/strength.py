@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from forearm_fem.pipeline.simulation import account_of, render_transfer, simulate
+from forearm_fem.engines.simulation import account_of, render_transfer, simulate
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.transfer import band_error
 

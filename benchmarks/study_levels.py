@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.io import wavfile
 
-from forearm_fem.commands.common import transfer_file
+from forearm_fem.cli.common import transfer_file
 from forearm_fem.files.read import read
 from forearm_fem.show.data import Results
 from forearm_fem.study.export import at_rate, export

@@ -2,8 +2,8 @@
 
     python3 benchmarks/tissue_laws.py
 
-For each law the inputs of prediction/priors.toml (tissues, tension, thicknesses) start from wide normals; DATA moves
-them: least squares of the logarithms of data and of the inputs' deviates, and Laplace's covariance about the best
+For each law the inputs of questions/predict/priors.toml (tissues, tension, thicknesses) start from wide normals;
+DATA moves them: least squares of the logarithms of data and of the inputs' deviates, and Laplace's covariance about the best
 point. Each datum's spread holds people and method, and sources that disagree are data side by side. Data of one kind
 and tissue together weigh as much as one of them: what is wanted is the spread of arms and methods, not that of their
 mean. Table I and figure A.2 of de Vlam 2022 are not among DATA: they are there to judge by.
@@ -24,8 +24,7 @@ from scipy.optimize import least_squares
 
 from forearm_fem.layered import Disc, Layer, Surface, layered_compliance
 from forearm_fem.metrics import fit_waves
-from forearm_fem.prediction.draws import SOFT, law_parameters
-from forearm_fem.prediction.priors import Prior, wide_priors
+from forearm_fem.questions.predict.draws import SOFT, Prior, law_parameters, wide_priors
 from forearm_fem.tissue import KelvinVoigt, Modulus, SpringPot, Zener
 from forearm_fem.typing import FloatArray
 

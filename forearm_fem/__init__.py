@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from .api import render as render
     from .engines.library import ArmLibrary as ArmLibrary
     from .engines.library import load_library as load_library
+    from .engines.simulation import Simulation as Simulation
+    from .engines.simulation import simulate as simulate
     from .errors import ForearmError as ForearmError
-    from .pipeline.simulation import Simulation as Simulation
-    from .pipeline.simulation import simulate as simulate
     from .rendering import Rendering as Rendering
     from .rendering.drives import Aim as Aim
     from .rendering.drives import Renderer as Renderer

@@ -12,11 +12,11 @@ from .scenario import Scenario
 from .transfer import TransferMatrix
 
 if TYPE_CHECKING:
+    from .engines.simulation import Simulation
     from .measurement.run import CalibrationResult
-    from .pipeline.simulation import Simulation
-    from .prediction.run import Prediction
     from .questions.compare.run import CompareResult, FitCommandResult
     from .questions.design.run import DesignResult
+    from .questions.predict.run import Prediction
     from .rendering import Rendering
 
 
@@ -40,10 +40,9 @@ def render(
     ``scenario`` says by which methods, with which wavelet and at which targets a G is rendered: without it the one that
     G names, or the thesis' at G's own places. ``base`` is the folder that its files are seen from.
     """
-    from .pipeline.simulation import Simulation
-    from .pipeline.simulation import render as render_simulation
-    from .rendering.given import scenario_for
-    from .rendering.job import render_transfer
+    from .engines.simulation import Simulation
+    from .engines.simulation import render as render_simulation
+    from .rendering.job import render_transfer, scenario_for
 
     if isinstance(what, Simulation) and scenario is None:
         return render_simulation(what)
@@ -79,8 +78,8 @@ def predict(
     What is done is kept in ``folder``, so that a prediction goes on where it was stopped; without one in none that
     stays. ``options`` are those of :class:`.Question`: ``seed``, ``laws``, ``held``, ``twin``.
     """
-    from .prediction.run import Question
-    from .prediction.run import predict as predict_question
+    from .questions.predict.run import Question
+    from .questions.predict.run import predict as predict_question
 
     question = Question(scenario, Path(base), **options)
     if folder is not None:

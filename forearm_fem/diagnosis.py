@@ -21,7 +21,7 @@ _PICTURE = (
 
 def diagnosis() -> dict[str, str]:
     """Name -> finding; nothing raises, what fails is said."""
-    from .pipeline.simulation import versions
+    from .engines.simulation import versions
 
     found = {"forearm-fem": __version__, **versions()}
     found["direct solvers"] = ", ".join(available_backends())

@@ -13,7 +13,7 @@ from unittest import mock
 
 from typer.main import get_command
 
-from forearm_fem.cli import app, main
+from forearm_fem.cli.app import app, main
 
 SMALL = """name = "small"
 engine = "layered"

@@ -104,7 +104,7 @@ def same_integrals_once(integrals: dict[bytes, Any]) -> Iterator[None]:
     are computed once. Not for tests of the integrals, of progress or of interruption.
     """
     from forearm_fem.engines import layered as layered_engine
-    from forearm_fem.prediction import arm
+    from forearm_fem.questions.predict import arm
 
     computed = layered_engine.layered_compliance
 

@@ -22,12 +22,11 @@ from forearm_fem.engines.skin_model import ReducedFile
 from forearm_fem.errors import ForearmError
 from forearm_fem.files.reading import RecognitionWarning
 from forearm_fem.files.wav import read_wav_drives, write_wav_drives
-from forearm_fem.geometry.limb.prisms import oriented
+from forearm_fem.geometry.limb.filling import oriented
 from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
-from forearm_fem.geometry.user.boundary import with_boundaries
-from forearm_fem.measurement.recording import Recording
-from forearm_fem.measurement.store import read_recording, write_recording
+from forearm_fem.geometry.user.checks import with_boundaries
+from forearm_fem.measurement.recording import Recording, read_recording, write_recording
 from forearm_fem.store import results as io
 from forearm_fem.store.record import load, save
 from forearm_fem.wavefield import Wavefield, load_wavefield, save_wavefield

@@ -29,9 +29,9 @@ from pydantic.fields import FieldInfo
 from forearm_fem.device import close_loop
 from forearm_fem.engines.forecast import refuse_if_signals_too_large
 from forearm_fem.engines.layered import solve_layered
+from forearm_fem.engines.simulation import render_transfer, simulate
 from forearm_fem.errors import LONGEST_SENTENCE, AccuracyWarning, ForearmError
-from forearm_fem.pipeline.folder import Run, unknown_strengths
-from forearm_fem.pipeline.simulation import render_transfer, simulate
+from forearm_fem.questions.run import Run, unknown_strengths
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.base import Within
 from forearm_fem.scenario.limb import Bone, LayerThickness

@@ -9,8 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from forearm_fem.accuracy.discretisation import discretisation_error, remaining_error
-from forearm_fem.accuracy.dispersion import NumericalDispersion
+from forearm_fem.accuracy.discretisation import NumericalDispersion, discretisation_error, remaining_error
 from forearm_fem.engines.second_mesh import second_mesh
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.layered import Disc, layered_compliance

@@ -15,11 +15,10 @@ import pytest
 from cli_runner import SMALL, cli
 
 from forearm_fem.accuracy.estimates import short_verdict
-from forearm_fem.campaign import CampaignResult, load_campaign, run, run_campaign
-from forearm_fem.campaign.member import MemberJob
-from forearm_fem.campaign.model import DrawTable, draws
 from forearm_fem.errors import MissingExtra, ScenarioError, SolverError
-from forearm_fem.prediction.run import Question
+from forearm_fem.questions import campaign as run
+from forearm_fem.questions.campaign import CampaignResult, DrawTable, MemberJob, draws, load_campaign, run_campaign
+from forearm_fem.questions.predict.run import Question
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.store import work
 from forearm_fem.tissue import PRESETS
@@ -221,7 +220,7 @@ def test_a_member_that_was_begun_anew_and_killed_is_not_taken_for_its_older_self
     start(made(tmp_path, older.format(0.03)))
     file = made(tmp_path, older.format(0.04))
     with monkeypatch.context() as patched:
-        patched.setattr("forearm_fem.campaign.member.member_summary", _interrupted)
+        patched.setattr("forearm_fem.questions.campaign.member_summary", _interrupted)
         with pytest.raises(KeyboardInterrupt):
             start(file)
     assert [m.reused for m in start(made(tmp_path, older.format(0.03))).members] == [False]
@@ -237,7 +236,7 @@ def test_a_fault_of_the_program_is_kept_to_its_member(
     def broken(*_: object) -> None:
         raise ZeroDivisionError("oh")
 
-    monkeypatch.setattr("forearm_fem.pipeline.folder.run_solve", broken)
+    monkeypatch.setattr("forearm_fem.questions.run.run_solve", broken)
     assert "ZeroDivisionError: oh" in start(made(tmp_path, "")).members[0].problem
 
 

@@ -38,13 +38,13 @@ def scene(tmp_path: Path) -> Path:
 
 def test_the_help_loads_nothing_heavy() -> None:
     heavy = ("scipy", "xarray", "matplotlib", "pyvista", "skfem", "trimesh", "distributed")
-    code = f"import sys, forearm_fem.cli; print([m for m in {heavy} if m in sys.modules])"
+    code = f"import sys, forearm_fem.cli.app; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
 
 def test_the_installed_program_ends_with_its_code() -> None:
-    program = [sys.executable, "-m", "forearm_fem.cli"]
+    program = [sys.executable, "-m", "forearm_fem.cli.app"]
     done = subprocess.run([*program, "run", "nowhere.toml"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     names = "halfspace, layered, line, own_arm, quick, thesis"
@@ -155,7 +155,7 @@ def test_ctrl_c_in_compiled_code_is_an_interruption(scene: Path, monkeypatch: py
     def compiled(*_: object) -> None:
         raise SystemError("CPUDispatcher(<function>) returned a result with an exception set") from KeyboardInterrupt()
 
-    monkeypatch.setattr("forearm_fem.pipeline.folder.run_solve", compiled)
+    monkeypatch.setattr("forearm_fem.questions.run.run_solve", compiled)
     answer = cli("run", "--until", "solve", "small.toml", cwd=scene)
     assert (answer.code, "interrupted; what was finished is kept" in answer.err) == (130, True), answer.err
 
@@ -171,7 +171,7 @@ def test_ctrl_c_that_ends_in_another_errors_name_is_an_interruption(
             signal.raise_signal(signal.SIGINT)
         raise NameError("name '_ndimage_api' is not defined")
 
-    monkeypatch.setattr("forearm_fem.pipeline.folder.run_solve", importing)
+    monkeypatch.setattr("forearm_fem.questions.run.run_solve", importing)
     answer = cli("run", "--until", "solve", "small.toml", cwd=scene)
     assert (answer.code, "interrupted; what was finished is kept" in answer.err) == (130, True), answer.err
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -238,7 +238,7 @@ def test_an_interruption_ends_with_130(scene: Path, monkeypatch: pytest.MonkeyPa
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("forearm_fem.pipeline.folder.simulate", interrupted)
+    monkeypatch.setattr("forearm_fem.questions.run.simulate", interrupted)
     answer = cli("run", "--until", "solve", "small.toml", cwd=scene)
     assert answer.code == 130
     assert "interrupted" in answer.err
@@ -249,7 +249,7 @@ def test_running_out_of_memory_is_one_sentence(scene: Path, monkeypatch: pytest.
     def exhausted(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("forearm_fem.pipeline.folder.simulate", exhausted)
+    monkeypatch.setattr("forearm_fem.questions.run.simulate", exhausted)
     answer = cli("run", "--until", "solve", "small.toml", cwd=scene)
     assert answer.code == 2
     assert "memory" in answer.sentence

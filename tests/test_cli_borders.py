@@ -14,7 +14,7 @@ import pytest
 from cli_runner import SMALL, cli, every_command, leftovers
 from scipy.io import savemat
 
-from forearm_fem import cli as program
+from forearm_fem.cli.app import app as program
 from forearm_fem.geometry.device.layout import planform_ports
 from forearm_fem.ports import Port
 from forearm_fem.scenario import load_scenario

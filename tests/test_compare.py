@@ -15,7 +15,7 @@ from forearm_fem.measurement.calibrate import calibrate
 from forearm_fem.measurement.virtual import noise_for
 from forearm_fem.metrics import condition_number
 from forearm_fem.ports import Port, distances
-from forearm_fem.questions.compare.agreement import agreement, fdac_matrix
+from forearm_fem.questions.compare.agreement import agreement, fdac_matrix, where, where_words
 from forearm_fem.questions.compare.common import common_ground
 from forearm_fem.questions.compare.compare import compare, comparison_record
 from forearm_fem.questions.compare.crossplay import cross_play, wavelet_for
@@ -29,7 +29,6 @@ from forearm_fem.questions.compare.report import (
     strength_words,
 )
 from forearm_fem.questions.compare.run import run_compare
-from forearm_fem.questions.compare.where import where, where_words
 from forearm_fem.transfer import TransferMatrix
 
 A = wave_matrix()

@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 from test_measurement_scene import INPUTS, OUTPUTS, wave_matrix
 
+from forearm_fem.engines.simulation import simulate
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.geometry.device.layout import planform_ports
-from forearm_fem.pipeline.simulation import simulate
 from forearm_fem.ports import Port, distances
-from forearm_fem.questions.compare.adapters import ScenarioModel, common_parameters, layered_compliance_of
 from forearm_fem.questions.compare.fit import fit
-from forearm_fem.questions.compare.parameters import Parameter
+from forearm_fem.questions.compare.parameters import Parameter, ScenarioModel, common_parameters, layered_compliance_of
 from forearm_fem.questions.compare.run import _unmeasured, all_inputs, fit_text, run_fit
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.transfer import TransferMatrix

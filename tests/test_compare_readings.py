@@ -12,11 +12,10 @@ import pytest
 from test_measurement_scene import INPUTS, OUTPUTS, part, wave_matrix
 
 from forearm_fem.errors import DataError
-from forearm_fem.questions.compare.adapters import ScenarioModel, layered_compliance_of
 from forearm_fem.questions.compare.common import common_ground
 from forearm_fem.questions.compare.compare import compare, comparison_record
-from forearm_fem.questions.compare.exchanges import exchanged
-from forearm_fem.questions.compare.readings import best_reading, explained
+from forearm_fem.questions.compare.parameters import ScenarioModel, layered_compliance_of
+from forearm_fem.questions.compare.readings import best_reading, exchanged, explained
 from forearm_fem.questions.compare.report import as_markdown
 from forearm_fem.questions.compare.run import run_compare, run_fit
 from forearm_fem.scenario import parse_scenario

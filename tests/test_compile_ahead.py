@@ -26,7 +26,7 @@ AFTER_THE_KERNELS = """
 import sys
 from numba.core.dispatcher import Dispatcher
 from forearm_fem.fem.reduction.compile_ahead import compile_kernels
-from forearm_fem.pipeline.simulation import simulate
+from forearm_fem.engines.simulation import simulate
 from forearm_fem.scenario import load_scenario
 
 def known():

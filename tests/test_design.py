@@ -14,11 +14,11 @@ import pytest
 from cli_runner import cli
 
 from forearm_fem.engines.layered import flat_ports
+from forearm_fem.engines.simulation import render, simulate
 from forearm_fem.errors import DataError, GeometryError, ScenarioError
 from forearm_fem.layered import Disc, Layer, layered_compliance
 from forearm_fem.layered import tables as tabulated
 from forearm_fem.layered.tables import tabulate
-from forearm_fem.pipeline.simulation import render, simulate
 from forearm_fem.ports import distances
 from forearm_fem.questions.design import Candidate, TwinArm, evaluate, load_design, pareto_front, run_design
 from forearm_fem.questions.design import candidate as candidates

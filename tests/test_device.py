@@ -16,7 +16,7 @@ from forearm_fem.device import (
     propagate_errors,
     respond,
 )
-from forearm_fem.device.housing import lever_matrix
+from forearm_fem.device.response import lever_matrix
 from forearm_fem.errors import ScenarioError
 from forearm_fem.ports import Port
 from forearm_fem.scenario.device import Cone, Device, HeldHousing, Housing, VoiceCoil, device_of

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forearm_fem.accuracy.dispersion import NumericalDispersion, phase_error
+from forearm_fem.accuracy.discretisation import NumericalDispersion, phase_error
 from forearm_fem.device import close_loop
 from forearm_fem.engines.layered import solve_layered
+from forearm_fem.engines.simulation import simulate
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.device.place import place_ports
-from forearm_fem.pipeline.folder import Run, run_solve
-from forearm_fem.pipeline.notes import near_disc_notes
-from forearm_fem.pipeline.simulation import simulate
+from forearm_fem.questions.notes import near_disc_notes
+from forearm_fem.questions.run import Run, run_solve
 from forearm_fem.results import read_run
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.transfer import band_error, relative_error, relative_error_at, total_error

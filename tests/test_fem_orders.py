@@ -13,12 +13,17 @@ from forearm_fem.fem.assembly.boundary import edge_middles
 from forearm_fem.fem.assembly.tissues import constrained_matrices, reference_tensors, tissue_matrices
 from forearm_fem.fem.space.numbering import tabulate
 from forearm_fem.fem.space.orders import Orders, graded_orders, uniform_orders
-from forearm_fem.geometry.device.contacts import facet_area
-from forearm_fem.geometry.device.neighbourhood import DEPTH, REACH, tetrahedron_orders, tissue_depths, usual_edge
-from forearm_fem.geometry.device.sizing import element_sizes
+from forearm_fem.geometry.device.place import facet_area
+from forearm_fem.geometry.device.sizing import (
+    DEPTH,
+    REACH,
+    element_sizes,
+    tetrahedron_orders,
+    tissue_depths,
+    usual_edge,
+)
 from forearm_fem.geometry.mesh.refinement import refine
-from forearm_fem.geometry.mesh.subdivision import skin_edges, with_finer_skin
-from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
+from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh, skin_edges, with_finer_skin
 from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.verification.blocks import FACES, block_mesh

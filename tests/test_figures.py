@@ -158,7 +158,7 @@ def test_the_inverse_filter_delivers_the_wavelet_at_the_end_of_the_line(run: Res
 
 
 def test_the_traced_root_of_a_half_space_is_rayleighs() -> None:
-    from forearm_fem.show.roots import trace_root
+    from forearm_fem.show.style import trace_root
 
     layer = Layer(np.inf, 1050.0, KelvinVoigt(7860.0, 5.03).at)
     omega = 2 * np.pi * np.array([50.0, 200.0, 500.0])

@@ -17,7 +17,7 @@ from forearm_fem.geometry.mesh.files import write_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.layered import Disc, layered_compliance
 from forearm_fem.ports import positions
-from forearm_fem.questions.compare.adapters import layers_from
+from forearm_fem.questions.compare.parameters import layers_from
 from forearm_fem.rendering import render_all, ricker
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show import Results

@@ -16,15 +16,15 @@ from forearm_fem.errors import ForearmError, GeometryError, MeshError
 from forearm_fem.geometry import build
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.device.layout import layout_of
-from forearm_fem.geometry.mesh import nearby
-from forearm_fem.geometry.mesh.nearby import meeting
+from forearm_fem.geometry.mesh import tissue_mesh as nearby
 from forearm_fem.geometry.mesh.quality import check_mesh, mesh_quality
-from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
+from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh, meeting
 from forearm_fem.geometry.mesh.topology import boundary_faces
-from forearm_fem.geometry.user import crossing, surfaces, tetwild
-from forearm_fem.geometry.user.cells import joined
-from forearm_fem.geometry.user.extent import check_room
-from forearm_fem.geometry.user.meshes import user_mesh
+from forearm_fem.geometry.user import checks as crossing
+from forearm_fem.geometry.user import surfaces
+from forearm_fem.geometry.user import volume as tetwild
+from forearm_fem.geometry.user.checks import check_room
+from forearm_fem.geometry.user.meshes import joined, user_mesh
 from forearm_fem.geometry.user.surfaces import read_surfaces
 from forearm_fem.scenario import load_scenario, parse_scenario
 

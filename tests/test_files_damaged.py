@@ -39,8 +39,8 @@ from forearm_fem.files.wav import read_wav_drives, write_wav_drives
 from forearm_fem.measurement.calibrate import calibrate, collected, record
 from forearm_fem.measurement.diagnostics import diagnose
 from forearm_fem.measurement.entry import entry
-from forearm_fem.measurement.play import play
-from forearm_fem.measurement.sweep import excited
+from forearm_fem.measurement.estimators import excited
+from forearm_fem.measurement.playback import play
 from forearm_fem.measurement.virtual import Faults, noise_for
 from forearm_fem.store.results import write_transfer
 

@@ -31,7 +31,7 @@ from forearm_fem.geometry.user.surfaces import read_surfaces
 from forearm_fem.geometry.user.triangles import read_triangles
 from forearm_fem.main_guard import _guarded
 from forearm_fem.measurement.calibrate import record
-from forearm_fem.rendering.interpolation import Interpolation, filled_in
+from forearm_fem.rendering.bridging import Interpolation, filled_in
 from forearm_fem.scenario import load_scenario, parse_scenario
 
 PORTS = (OUTPUTS[:2], INPUTS[:2])

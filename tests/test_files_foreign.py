@@ -15,7 +15,7 @@ from scipy.sparse import csr_matrix
 from forearm_fem import files, load_scenario
 from forearm_fem.errors import AccuracyWarning, DataError
 from forearm_fem.files import Declaration, read_sweep
-from forearm_fem.pipeline import planform_ports
+from forearm_fem.geometry.device.layout import planform_ports
 from forearm_fem.transfer import TransferMatrix
 
 PORTS = planform_ports(load_scenario("quick"))

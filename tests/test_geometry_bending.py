@@ -15,8 +15,7 @@ from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.limb import bending
 from forearm_fem.geometry.limb.bending import bent, with_bends
 from forearm_fem.geometry.limb.tube import tube_of
-from forearm_fem.geometry.mesh.curved import bent_jacobians, bent_places, straight_jacobians, true_volumes
-from forearm_fem.geometry.mesh.tissue_mesh import Bends
+from forearm_fem.geometry.mesh.tissue_mesh import Bends, bent_jacobians, bent_places, straight_jacobians, true_volumes
 from forearm_fem.geometry.mesh.topology import EDGES
 from forearm_fem.scenario import parse_scenario
 

@@ -12,13 +12,11 @@ from forearm_fem.errors import MeshError
 from forearm_fem.geometry import build
 from forearm_fem.geometry.build import build_mesh, limb_volume
 from forearm_fem.geometry.device.sizing import element_sizes
-from forearm_fem.geometry.limb.chart import Chart, spread
-from forearm_fem.geometry.limb.core import _bone_wall, _check_tubes
-from forearm_fem.geometry.limb.filling import Shell, fill, without_slivers
-from forearm_fem.geometry.limb.prisms import oriented, stack_prisms
+from forearm_fem.geometry.limb.core import Chart, _bone_wall, _check_tubes, spread
+from forearm_fem.geometry.limb.filling import Shell, fill, oriented, stack_prisms, without_slivers
 from forearm_fem.geometry.limb.tube import tube_of
-from forearm_fem.geometry.mesh.curved import true_volumes
 from forearm_fem.geometry.mesh.quality import check_mesh
+from forearm_fem.geometry.mesh.tissue_mesh import true_volumes
 from forearm_fem.geometry.mesh.topology import boundary_faces, mean_ratios
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 

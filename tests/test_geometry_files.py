@@ -19,11 +19,10 @@ import trimesh
 from forearm_fem.errors import GeometryError, MeshError
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.cache import cached_mesh, mesh_key
-from forearm_fem.geometry.device.contacts import facet_area
-from forearm_fem.geometry.device.place import place_ports
+from forearm_fem.geometry.device.place import facet_area, place_ports
 from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
 from forearm_fem.geometry.mesh.quality import check_mesh, mesh_quality
-from forearm_fem.geometry.user import tetwild
+from forearm_fem.geometry.user import volume as tetwild
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.user_cache import default_cache_dir
 

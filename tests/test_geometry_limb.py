@@ -9,8 +9,7 @@ from forearm_fem.errors import GeometryError
 from forearm_fem.fem.assembly.boundary import covered_area, resting_nodes, rests
 from forearm_fem.fem.space.numbering import mixed_space
 from forearm_fem.geometry.build import build_mesh, limb_volume
-from forearm_fem.geometry.device.contacts import facet_area, from_axis
-from forearm_fem.geometry.device.place import place_ports
+from forearm_fem.geometry.device.place import facet_area, from_axis, place_ports
 from forearm_fem.geometry.device.sizing import element_sizes
 from forearm_fem.geometry.limb.tube import tube_of
 from forearm_fem.geometry.mesh.quality import check_mesh, mesh_quality

@@ -9,8 +9,7 @@ import pytest
 
 from forearm_fem.errors import GeometryError, MeshError
 from forearm_fem.geometry.build import build_mesh, limb_volume
-from forearm_fem.geometry.device.contacts import facet_area, from_axis
-from forearm_fem.geometry.device.place import place_ports
+from forearm_fem.geometry.device.place import facet_area, from_axis, place_ports
 from forearm_fem.geometry.device.sizing import SECOND, element_sizes
 from forearm_fem.geometry.mesh.quality import check_mesh, mean_ratio, mesh_quality, nodes_per_wavelength
 from forearm_fem.geometry.mesh.refinement import onto_circle, refine, refine_rims, rim_edges

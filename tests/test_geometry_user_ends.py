@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from forearm_fem.engines.forecast import doubts_of
-from forearm_fem.geometry.device.contacts import facet_area
-from forearm_fem.geometry.limb.prisms import oriented
+from forearm_fem.geometry.device.place import facet_area
+from forearm_fem.geometry.limb.filling import oriented
 from forearm_fem.geometry.mesh.files import write_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
-from forearm_fem.geometry.user.boundary import with_boundaries, without_bone
-from forearm_fem.geometry.user.tetwild import background_grid
-from forearm_fem.pipeline.folder import Run, run_solve
+from forearm_fem.geometry.user.checks import with_boundaries, without_bone
+from forearm_fem.geometry.user.volume import background_grid
+from forearm_fem.questions.run import Run, run_solve
 from forearm_fem.results import read_run
 from forearm_fem.scenario import parse_scenario
 

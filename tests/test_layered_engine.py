@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from forearm_fem.engines.layered import flat_disc, flat_ports, solve_layered
+from forearm_fem.engines.simulation import simulate
 from forearm_fem.errors import ForearmError, GeometryError, ScenarioError
-from forearm_fem.pipeline.simulation import simulate
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.transfer import relative_error
 

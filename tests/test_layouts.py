@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from forearm_fem.engines.simulation import render, simulate
 from forearm_fem.errors import GeometryError, ScenarioError
-from forearm_fem.pipeline.folder import Run, run_render
-from forearm_fem.pipeline.simulation import render, simulate
 from forearm_fem.ports import Port, positions
+from forearm_fem.questions.run import Run, run_render
 from forearm_fem.rendering import funneling_weights
 from forearm_fem.rendering.lattice import is_thesis_grid
 from forearm_fem.scenario import Scenario, parse_scenario

@@ -9,19 +9,24 @@ from cli_runner import cli
 from scipy.sparse.linalg import lsqr
 from scipy.special import j1, spherical_jn
 
-from forearm_fem.accuracy.of_library import moved_by_stretch
+from forearm_fem.accuracy.estimates import moved_by_stretch
 from forearm_fem.device import close_loop
 from forearm_fem.engines.fem import fem_model
 from forearm_fem.engines.layered import flat_layers
 from forearm_fem.engines.library import is_library, load_library, make, make_library, save_library, side
 from forearm_fem.engines.library.arm import _Asked, _Part, library_skin
 from forearm_fem.engines.library.between import Lattice, Prior, Shape, shape_of
-from forearm_fem.engines.library.file import LibraryFile
-from forearm_fem.engines.library.flat_bells import between_flat_bells, flat_compliance, pair_distances
-from forearm_fem.engines.library.hold import deviation_held, held
-from forearm_fem.engines.library.loads import Bells, bell_functionals
-from forearm_fem.engines.library.make import loaded_skin, meshed_scenario
+from forearm_fem.engines.library.limb import deviation_held, held
+from forearm_fem.engines.library.loads import (
+    Bells,
+    bell_functionals,
+    between_flat_bells,
+    flat_compliance,
+    pair_distances,
+)
+from forearm_fem.engines.library.make import LibraryFile, loaded_skin, meshed_scenario
 from forearm_fem.engines.library.skin import FlatSkin, flat_skin
+from forearm_fem.engines.simulation import render_transfer, simulate
 from forearm_fem.errors import AccuracyWarning, DataError, ForearmError, GeometryError, ScenarioError
 from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.geometry.cache import cached_mesh
@@ -30,8 +35,6 @@ from forearm_fem.layered import Layer, Surface, surface_kernel
 from forearm_fem.layered.discs import Disc
 from forearm_fem.layered.integrals import Medium
 from forearm_fem.layered.tables import tabulate
-from forearm_fem.pipeline import simulate
-from forearm_fem.pipeline.simulation import render_transfer
 from forearm_fem.ports import Port, positions
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.store.shelf import WORK, Shelf

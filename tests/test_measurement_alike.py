@@ -14,8 +14,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from forearm_fem.measurement.entry import Entry, entry
+from forearm_fem.measurement.estimators import ExponentialSweep
 from forearm_fem.measurement.recording import Recording
-from forearm_fem.measurement.sweep import ExponentialSweep
 from forearm_fem.scenario.measurement import MeasurementOptions
 
 RATE, BAND = 10000.0, (10.0, 500.0)

@@ -24,7 +24,7 @@ from forearm_fem.geometry.device.layout import planform_ports
 from forearm_fem.measurement.calibrate import calibrate, collected, record
 from forearm_fem.measurement.diagnostics import _lost, diagnose
 from forearm_fem.measurement.entry import bias_said, entry
-from forearm_fem.measurement.estimators import estimate, spectra
+from forearm_fem.measurement.estimators import ExponentialSweep, estimate, excited, spectra
 from forearm_fem.measurement.recording import Recording
 from forearm_fem.measurement.run import (
     VirtualSetup,
@@ -32,11 +32,10 @@ from forearm_fem.measurement.run import (
     run_calibration,
     virtual_device,
 )
-from forearm_fem.measurement.sweep import ExponentialSweep, excited
 from forearm_fem.measurement.virtual import Faults, VirtualSensor, noise_for
 from forearm_fem.metrics import signal_strength
-from forearm_fem.questions.compare.adapters import ScenarioModel, layered_compliance_of
 from forearm_fem.questions.compare.compare import compare
+from forearm_fem.questions.compare.parameters import ScenarioModel, layered_compliance_of
 from forearm_fem.questions.compare.run import _biased
 from forearm_fem.rendering import InverseFilter, displacements, drives, ricker
 from forearm_fem.scenario import parse_scenario

@@ -22,7 +22,7 @@ from forearm_fem.errors import HardwareError, MissingExtra
 from forearm_fem.measurement.calibrate import calibrate
 from forearm_fem.measurement.daq import Wiring
 from forearm_fem.measurement.ni import NiDaq
-from forearm_fem.measurement.play import play
+from forearm_fem.measurement.playback import play
 from forearm_fem.measurement.virtual import noise_for
 from forearm_fem.transfer import band_error
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from forearm_fem.measurement.calibrate import Plan
-from forearm_fem.measurement.sweep import ExponentialSweep
+from forearm_fem.measurement.estimators import ExponentialSweep
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions, VirtualSensor
 from forearm_fem.ports import Port, distances
 from forearm_fem.scenario.measurement import DaqOptions, MeasurementOptions, SensorOptions

@@ -31,9 +31,9 @@ from test_measurement_scene import (
 from forearm_fem.errors import AccuracyWarning, DataError, HardwareError, ScenarioError
 from forearm_fem.files.wav import write_wav_drives
 from forearm_fem.measurement.calibrate import calibrate, collected
-from forearm_fem.measurement.play import play
+from forearm_fem.measurement.playback import play
+from forearm_fem.measurement.recording import read_recording
 from forearm_fem.measurement.run import VirtualSetup, calibration_plan, run_calibration, run_play
-from forearm_fem.measurement.store import read_recording
 from forearm_fem.measurement.virtual import Faults, VirtualDaq, VirtualOptions
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.store.results import read_transfer

@@ -14,7 +14,7 @@ from scipy.signal import chirp
 
 from forearm_fem.errors import DataError, HardwareError
 from forearm_fem.measurement.daq import OpenDevice, Wiring
-from forearm_fem.measurement.loopback import delay_of, loopback, read_loopback
+from forearm_fem.measurement.playback import delay_of, loopback, read_loopback
 from forearm_fem.measurement.sound import SoundCard
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions, VirtualSensor
 from forearm_fem.store.results import read_drives, read_transfer

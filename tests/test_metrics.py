@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from forearm_fem.accuracy.perturbed import perturbed
+from forearm_fem.accuracy.estimates import perturbed
 from forearm_fem.errors import AccuracyWarning, DataError
 from forearm_fem.metrics import (
     area,

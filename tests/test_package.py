@@ -16,7 +16,7 @@ from cli_runner import cli as run
 from pydantic import BaseModel
 
 import forearm_fem
-from forearm_fem.campaign.model import load_campaign
+from forearm_fem.questions.campaign import load_campaign
 from forearm_fem.questions.design.model import load_design
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario, scenario_file, scenario_template
 from forearm_fem.scenario.load import all_keys

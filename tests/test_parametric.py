@@ -22,19 +22,18 @@ from forearm_fem.fem.reduction.per_query_basis import Summed, _solved, quick_com
 from forearm_fem.fem.reduction.poles import chebyshev_frequencies, rational
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.cache import cached_mesh
-from forearm_fem.geometry.device.grid_places import GridPlaces
-from forearm_fem.prediction.arm import LayeredArm, ReducedArm, _nearness, arm_model, on_mesh_of
-from forearm_fem.prediction.draws import draw_inputs, scenario_of
-from forearm_fem.prediction.priors import load_priors
-from forearm_fem.questions.compare.adapters import (
+from forearm_fem.geometry.device.place import GridPlaces
+from forearm_fem.questions.compare.fit import fit
+from forearm_fem.questions.compare.parameters import (
     ScenarioModel,
     common_parameters,
     fem_compliance_of,
     fem_meshes_for,
     fem_model_for,
 )
-from forearm_fem.questions.compare.fit import fit
 from forearm_fem.questions.compare.run import run_fit
+from forearm_fem.questions.predict.arm import LayeredArm, ReducedArm, _nearness, arm_model, on_mesh_of
+from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.store.record import load, save
@@ -737,7 +736,7 @@ def test_intervals_of_a_fit_hold_what_the_reduction_errs_by(model, monkeypatch):
 def test_a_fit_that_cannot_be_is_told_before_its_elements_are_reduced(model, names, change, said, monkeypatch):
     arm = parse_scenario(SCENE)
     data = replace(close_loop(model.compliance(arm, PROBES), arm.device), errors=())
-    unasked = "forearm_fem.questions.compare.adapters.parametric_model"
+    unasked = "forearm_fem.questions.compare.parameters.parametric_model"
     monkeypatch.setattr(unasked, lambda *_, **__: pytest.fail("reduced"))
     with pytest.raises((DataError, ScenarioError), match=said):
         run_fit(parse_scenario({**SCENE, **change}), data, names, fem=True)

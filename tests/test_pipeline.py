@@ -17,8 +17,8 @@ from forearm_fem.fem.reduction import rate_space as krylov
 from forearm_fem.fem.reduction import sweep
 from forearm_fem.fem.reduction.expansion import Expansion
 from forearm_fem.files.mat import read_thesis_mat
-from forearm_fem.geometry.mesh.subdivision import with_finer_skin
-from forearm_fem.pipeline.folder import Run, run_all, run_render, run_solve
+from forearm_fem.geometry.mesh.tissue_mesh import with_finer_skin
+from forearm_fem.questions.run import Run, run_all, run_render, run_solve
 from forearm_fem.results import read_run
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.sweep import ReducedSolve

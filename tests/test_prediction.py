@@ -18,14 +18,13 @@ from scipy import stats
 from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.geometry.device.layout import planform_ports
-from forearm_fem.prediction import run as runs
-from forearm_fem.prediction import statistics as numbers
-from forearm_fem.prediction.arm import Answer, LayeredArm, arm_model
-from forearm_fem.prediction.draws import draw_inputs, kept_tissues, moved_points, scenario_of
-from forearm_fem.prediction.outcome import KEPT, READINGS, DrawsFile, Outcome, drivers_of, noisy, outcome_of
-from forearm_fem.prediction.priors import load_priors
-from forearm_fem.prediction.run import FILE, Prediction, Question, check_question, predict
-from forearm_fem.prediction.summary import shorter_waves, summary
+from forearm_fem.questions.predict import run as runs
+from forearm_fem.questions.predict import statistics as numbers
+from forearm_fem.questions.predict.arm import Answer, LayeredArm, arm_model
+from forearm_fem.questions.predict.draws import draw_inputs, kept_tissues, load_priors, moved_points, scenario_of
+from forearm_fem.questions.predict.outcome import KEPT, READINGS, DrawsFile, Outcome, drivers_of, noisy, outcome_of
+from forearm_fem.questions.predict.run import FILE, Prediction, Question, check_question, predict
+from forearm_fem.questions.predict.summary import shorter_waves, summary
 from forearm_fem.rendering import drives, strengths
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.sweep import frequencies

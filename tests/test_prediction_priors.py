@@ -14,9 +14,18 @@ import pytest
 from scipy import stats
 
 from forearm_fem.errors import ScenarioError
-from forearm_fem.prediction.draws import LAWS, SOFT, draw_inputs, law_parameters, moved_points, scenario_of
-from forearm_fem.prediction.priors import Prior, load_priors, wide_priors
-from forearm_fem.prediction.run import expanded
+from forearm_fem.questions.predict.draws import (
+    LAWS,
+    SOFT,
+    Prior,
+    draw_inputs,
+    law_parameters,
+    load_priors,
+    moved_points,
+    scenario_of,
+    wide_priors,
+)
+from forearm_fem.questions.predict.run import expanded
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.tissue import PRESETS, KelvinVoigt, SpringPot, Zener, resolve_tissues
 

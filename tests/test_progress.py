@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import forearm_fem
-from forearm_fem.commands import display
+from forearm_fem.cli import display
 from forearm_fem.progress import Journey, tell, within
 
 PACKAGE = Path(forearm_fem.__file__).parent

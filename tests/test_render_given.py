@@ -13,9 +13,8 @@ from cli_runner import SMALL, cli
 
 from forearm_fem.errors import DataError
 from forearm_fem.files import save
-from forearm_fem.pipeline.folder import Run, run_all
-from forearm_fem.rendering.given import UNASKED, scenario_for
-from forearm_fem.rendering.job import RenderJob, is_on_bins
+from forearm_fem.questions.run import Run, run_all
+from forearm_fem.rendering.job import UNASKED, RenderJob, is_on_bins, scenario_for
 from forearm_fem.scenario import load_scenario
 from forearm_fem.transfer import TransferMatrix
 

@@ -11,17 +11,17 @@ import pytest
 from test_rendering import BAND, actuators, grid, waves
 
 from forearm_fem.accuracy.discretisation import over_pairs
+from forearm_fem.engines.simulation import account_of, render_transfer
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
 from forearm_fem.measurement.entry import noise_estimate
 from forearm_fem.metrics.strength import strength_text, without_bound
-from forearm_fem.pipeline.folder import Run, run_all, run_render
-from forearm_fem.pipeline.samples import check_samples, sample_notes
-from forearm_fem.pipeline.simulation import account_of, render_transfer
 from forearm_fem.ports import Port
-from forearm_fem.prediction.run import Question, check_question
 from forearm_fem.questions.compare.common import common_ground
 from forearm_fem.questions.compare.crossplay import cross_play
 from forearm_fem.questions.compare.run import run_compare
+from forearm_fem.questions.notes import check_samples, sample_notes
+from forearm_fem.questions.predict.run import Question, check_question
+from forearm_fem.questions.run import Run, run_all, run_render
 from forearm_fem.rendering import (
     Combination,
     Funneling,
@@ -619,7 +619,7 @@ def test_no_method_left_is_known_before_the_solve():
 @pytest.mark.parametrize("engine", ["layered", "fem"])
 def test_frequencies_too_far_apart_to_render_on_are_refused_before_the_solve(engine, tmp_path, monkeypatch):
     """G was solved, and then not rendered; now it is seen on the flat twin, whatever solves the scene, tape or not."""
-    monkeypatch.setattr("forearm_fem.pipeline.folder._solved", lambda run: pytest.fail("solved first"))
+    monkeypatch.setattr("forearm_fem.questions.run._solved", lambda run: pytest.fail("solved first"))
     far = {**TWIN, "engine": engine, "sweep": {"frequencies": list(range(20, 480, 40)), "duration": 0.5},
            "tissues": {"patch": {"mass": 0.2}} if engine == "fem" else {}}  # fmt: skip
     said = r"sweep\.frequencies: by the flat twin, .* 40 Hz apart: .*; for G alone set rendering\.methods = \[\]"

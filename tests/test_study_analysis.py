@@ -15,7 +15,7 @@ from simulated_people import Person
 
 pd = pytest.importorskip("pandas")
 
-from forearm_fem.cli import app  # noqa: E402
+from forearm_fem.cli.app import app  # noqa: E402
 from forearm_fem.errors import DataError, ScenarioError  # noqa: E402
 from forearm_fem.study.analysis import analyse, cells, confusion, ellipses, with_errors  # noqa: E402
 from forearm_fem.study.plan import Analysis, Study, Task  # noqa: E402

@@ -18,7 +18,7 @@ from test_study_session import GRID, opened, silent, small, study
 pd = pytest.importorskip("pandas")
 
 from forearm_fem.errors import DataError  # noqa: E402
-from forearm_fem.measurement.loopback import Loopback  # noqa: E402
+from forearm_fem.measurement.playback import Loopback  # noqa: E402
 from forearm_fem.measurement.sound import SoundCard  # noqa: E402
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions  # noqa: E402
 from forearm_fem.scenario.measurement import DaqOptions  # noqa: E402

@@ -14,8 +14,8 @@ from forearm_fem.engines.engine import Engine
 from forearm_fem.engines.layered import LayeredEngine
 from forearm_fem.engines.solved import FemEngine
 from forearm_fem.errors import DataError, ScenarioError
-from forearm_fem.prediction.arm import LayeredArm
-from forearm_fem.questions.design.arm import TwinArm
+from forearm_fem.questions.design.candidate import TwinArm
+from forearm_fem.questions.predict.arm import LayeredArm
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.shipped import contents, law_files, named_files
 from forearm_fem.tissue import SpringPot, Zener, resolve_tissues

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from cli_runner import SMALL, cli, leftovers
 
-from forearm_fem.commands.common import out_folder
+from forearm_fem.cli.common import out_folder
 from forearm_fem.errors import DataError
-from forearm_fem.pipeline.folder import Run
+from forearm_fem.questions.run import Run
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.store.folder import locked
 from forearm_fem.store.results import read_transfer
@@ -156,7 +156,7 @@ def test_hand_placed_contacts_are_reported_as_they_lie() -> None:
 def test_an_unknown_s_is_named() -> None:
     from types import SimpleNamespace
 
-    from forearm_fem.pipeline.folder import unknown_strengths
+    from forearm_fem.questions.run import unknown_strengths
 
     made = SimpleNamespace(methods=("funneling",), targets=("1", "2"), strengths=np.array([[np.nan, 1.0]]))
     assert unknown_strengths(made)[0].startswith("S of funneling is unknown at 1:")

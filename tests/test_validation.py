@@ -14,12 +14,11 @@ from cli_runner import cli
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
 from forearm_fem.layered import Layer, Surface
 from forearm_fem.metrics import thesis_table
-from forearm_fem.prediction import validate as module
-from forearm_fem.prediction.observables import Arm, fat_of, motor_ratios, observables
-from forearm_fem.prediction.run import Question
-from forearm_fem.prediction.statistics import Draws
-from forearm_fem.prediction.targets import SHAH_ARMS, TARGETS, Target
-from forearm_fem.prediction.validate import validate
+from forearm_fem.questions.predict import validate as module
+from forearm_fem.questions.predict.published import SHAH_ARMS, TARGETS, Arm, Target, fat_of, motor_ratios, observables
+from forearm_fem.questions.predict.run import Question
+from forearm_fem.questions.predict.statistics import Draws
+from forearm_fem.questions.predict.validate import validate
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show.validation import coverage, failures, joint_words, validation_page
 from forearm_fem.store.results import write_transfer
@@ -234,8 +233,7 @@ def against_arms(g: TransferMatrix, scene: Scenario, prediction: Any) -> dict[st
 
 
 def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
-    from forearm_fem.pipeline import simulate
-    from forearm_fem.pipeline.simulation import render_transfer
+    from forearm_fem.engines.simulation import render_transfer, simulate
 
     found, _ = whole
     assert found["measured"] is None
@@ -287,7 +285,7 @@ def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, An
 def test_a_measured_g_without_s_and_targets_are_refused_before_the_draws(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from forearm_fem.pipeline import simulate
+    from forearm_fem.engines.simulation import simulate
 
     scene = parse_scenario(SMALL)
     g = simulate(scene).transfer

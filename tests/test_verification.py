@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cli_runner import cli
 
-from forearm_fem.geometry.mesh.curved import true_volumes
+from forearm_fem.geometry.mesh.tissue_mesh import true_volumes
 from forearm_fem.verification import Row, run
 from forearm_fem.verification.blocks import block_mesh, shell_mesh
 

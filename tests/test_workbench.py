@@ -19,13 +19,13 @@ from test_figures_scene import folder  # noqa: F401
 from test_skin_model import solved  # noqa: F401
 
 from forearm_fem.device import close_loop
+from forearm_fem.engines.simulation import simulate
 from forearm_fem.engines.skin_model import load_skin_model
 from forearm_fem.errors import DataError, GeometryError
 from forearm_fem.files.tables import write_csv
-from forearm_fem.pipeline.folder import Run, run_render
-from forearm_fem.pipeline.simulation import simulate
-from forearm_fem.prediction.outcome import DrawsFile, Outcome
-from forearm_fem.prediction.run import FILE
+from forearm_fem.questions.predict.outcome import DrawsFile, Outcome
+from forearm_fem.questions.predict.run import FILE
+from forearm_fem.questions.run import Run, run_render
 from forearm_fem.rendering import Funneling, render_all, ricker, strengths
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show import Results
@@ -122,7 +122,7 @@ def test_all_27_strengths_are_pythons(flat: Results, content: dict[str, Any]) ->
 def test_what_a_reader_changes_gives_what_python_gives(
     content: dict[str, Any], flat: Results, settings: dict[str, Any], options: dict[str, Any]
 ) -> None:
-    from forearm_fem.pipeline.simulation import render_transfer
+    from forearm_fem.engines.simulation import render_transfer
 
     scenario = parse_scenario({**LAYERED, "rendering": options})
     expected = render_transfer(scenario, flat.transfer)
@@ -263,8 +263,8 @@ def test_intervals_drawn_in_the_page_follow_pythons_rule(content: dict[str, Any]
     """With Python's own noise every half width is Python's (1e-6: the same sums in another order), and with the page's
     that of another dozen draws. A mean square of 12 draws scatters by 40 %, so that two half widths differ by 30 % as a
     rule; a factor of 2.5 is three times that in the logarithm."""
-    from forearm_fem.accuracy.perturbed import smooth_noise
-    from forearm_fem.pipeline.simulation import render_transfer
+    from forearm_fem.accuracy.estimates import smooth_noise
+    from forearm_fem.engines.simulation import render_transfer
     from forearm_fem.rendering.interval import interval
     from forearm_fem.rendering.job import renderers
 
@@ -312,7 +312,7 @@ def test_a_stimulus_of_ones_own(content: dict[str, Any], flat: Results, tmp_path
     samples = np.sin(np.arange(60) * 0.4) * np.hanning(60)
     np.savetxt(tmp_path / "own.csv", samples)
     scenario = parse_scenario({**LAYERED, "rendering": {"wavelet": {"file": "own.csv"}}})
-    from forearm_fem.pipeline.simulation import render_transfer
+    from forearm_fem.engines.simulation import render_transfer
 
     expected = render_transfer(scenario, flat.transfer, base=tmp_path).strengths
     stimulus = {"kind": "file", "name": "own.csv", "samples": np.loadtxt(tmp_path / "own.csv").tolist()}

@@ -19,10 +19,10 @@ from test_figures_scene import folder  # noqa: F401
 from test_skin_model import solved  # noqa: F401
 from test_workbench import LAYERED, content, drawn, flat  # noqa: F401
 
+from forearm_fem.engines.simulation import render, simulate
 from forearm_fem.engines.skin_model import load_skin_model
 from forearm_fem.files.read import read
 from forearm_fem.files.tables import write_csv
-from forearm_fem.pipeline.simulation import render, simulate
 from forearm_fem.scenario import load_scenario, parse_scenario
 from forearm_fem.show import Results
 from forearm_fem.show.workbench import content_of, page_of

@@ -7,7 +7,7 @@ from time import process_time
 
 from forearm_fem.accuracy.discretisation import COARSER, estimated_errors
 from forearm_fem.engines.fem import reduction_tolerance
-from forearm_fem.engines.resources import Ledger
+from forearm_fem.engines.forecast import Ledger
 from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.reduction.sweep import reduced_sweep
 from forearm_fem.geometry.device.sizing import element_sizes

@@ -9,8 +9,8 @@ from time import perf_counter, process_time
 import numpy as np
 from scipy.interpolate import BarycentricInterpolator
 
+from forearm_fem.engines.forecast import Ledger
 from forearm_fem.engines.layered import flat_layers
-from forearm_fem.engines.resources import Ledger
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.layered import Disc, layered_compliance
 from forearm_fem.transfer import band_error, relative_error

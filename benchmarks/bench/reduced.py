@@ -63,7 +63,7 @@ def reduced(case: tuple[float, int]) -> Reduced:
     bins = frequencies(scenario.sweep)
     model = fem_model(scenario, build_mesh(scenario, base=Path(".")))
     start = clock()
-    sweep = reduced_sweep(model, bins, scenario.solver)
+    sweep = reduced_sweep(model, bins, options("auto"))
     whole = clock() - start
     probes = held_out_bins(bins, sweep, held_out)
     solver = make_solver(model, options(), float(probes[0]))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.typing import ComplexArray, FloatArray
 from forearm_fem.verification.scenes import quarter_slab, twin_response
 
@@ -48,6 +48,6 @@ def device(scale: float = 1.0) -> Scenario:
     return parse_scenario(data)
 
 
-def options(precision: str = "double") -> SolverOptions:
+def options(precision: str = "double") -> ReducedSolve:
     """Solver options of a method."""
-    return SolverOptions.model_validate({"precision": precision})
+    return ReducedSolve.model_validate({"precision": precision})

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from forearm_fem.engines.resources import Ledger
+from forearm_fem.engines.forecast import Ledger
 from forearm_fem.fem.linear.factor import make_factor, refined_solve
 from forearm_fem.verification.scenes import slab_model
 

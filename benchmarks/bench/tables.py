@@ -34,7 +34,7 @@ def record_machine(out: Path, part: str) -> None:
 
 def machine() -> dict[str, Any]:
     """What timings are made on and with."""
-    from forearm_fem.pipeline.simulation import versions
+    from forearm_fem.engines.simulation import versions
 
     return {
         "forearm_fem": __version__,

@@ -10,7 +10,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 from typer.main import get_command
 
-from forearm_fem.cli import app as command_line
+from forearm_fem.cli.app import app as command_line
 
 
 def every_command(group: Any = None, before: str = "") -> list[tuple[str, Any]]:

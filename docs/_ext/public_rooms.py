@@ -6,8 +6,8 @@ import importlib
 
 PUBLIC = {
     "forearm_fem": "The whole way in five names",
-    "forearm_fem.pipeline": "From a scenario to a results folder",
-    "forearm_fem.pipeline.folder": "The same, stage by stage",
+    "forearm_fem.engines.simulation": "From a scenario to G",
+    "forearm_fem.questions.run": "From a scenario to a results folder, stage by stage",
     "forearm_fem.engines.skin_model": "A solved limb without its mesh",
     "forearm_fem.transfer": "What a solve or a measurement gives",
     "forearm_fem.ports": "Contacts and points",
@@ -24,7 +24,7 @@ PUBLIC = {
     "forearm_fem.device": "The device's circuit and mechanics",
     "forearm_fem.layered": "The semi-analytic twin",
     "forearm_fem.engines.library": "An arm's library: any arrangement without a solve",
-    "forearm_fem.campaign": "Campaigns",
+    "forearm_fem.questions.campaign": "Campaigns",
     "forearm_fem.errors": "Named failures",
 }
 

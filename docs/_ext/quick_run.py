@@ -7,7 +7,7 @@ from typing import Any
 
 from sphinx.application import Sphinx
 
-from forearm_fem.pipeline.folder import Run, run_render
+from forearm_fem.questions.run import Run, run_render
 from forearm_fem.scenario import load_scenario, scenario_file
 
 FOLDER = Path(__file__).parents[1] / "gallery" / "results" / "quick"

@@ -11,7 +11,7 @@ makes a folder with the flat twin, draws four of them, and shows how to lay your
 import tempfile
 from pathlib import Path
 
-from forearm_fem.pipeline.folder import Run, run_render
+from forearm_fem.questions.run import Run, run_render
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.show import Results, kinds, make_figures
 

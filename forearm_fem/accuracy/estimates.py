@@ -1,12 +1,29 @@
-"""Error estimates: made of e(f), and held against the accuracy asked for."""
+"""Error estimates of G: quadrature of the layered model, library answers, spread over pairs, perturbed answers."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from ..arguments import checked
+from ..errors import DataError
+from ..ports import Port
 from ..scenario import Scenario
-from ..transfer import ErrorEstimate, total_error
-from ..typing import FloatArray
+from ..transfer import (
+    Compliance,
+    ErrorEstimate,
+    ErrorSource,
+    TransferMatrix,
+    error_of_pairs,
+    relative_error_at,
+    total_error,
+)
+from ..typing import ComplexArray, FloatArray
+
+# Error estimates: made of e(f), and held against the accuracy asked for.
 
 
 def quadrature_estimate(frequency: FloatArray, error: FloatArray, method: str) -> ErrorEstimate:
@@ -36,3 +53,190 @@ def accuracy_verdict(scenario: Scenario, errors: tuple[ErrorEstimate, ...]) -> s
 def short_verdict(sentence: str) -> str:
     """The verdict in a :func:`accuracy_verdict`, for a table: met, NOT met, or UNKNOWN, also where there is none."""
     return next((word for word in ("UNKNOWN", "NOT met", "met") if word in sentence), "UNKNOWN")
+
+
+# Errors of a compliance at each pair of ports: far points, which move little, are known better than near ones.
+
+
+def raised_to_row_column_mean(change: FloatArray) -> FloatArray:
+    """``change`` (n, n_out, n_in), each entry raised to (row rms x column rms / total rms).
+
+    A reduced model errs by the product of what the states of two ports lack (:mod:`..fem.reduction.certificate`),
+    so a pair that changes less than that does so by chance. Nothing is raised beyond the largest of all.
+    """
+    square = change**2
+    rows, columns, all_of_it = (square.mean(axis=axes, keepdims=True) for axes in (2, 1, (1, 2)))
+    product = np.sqrt(np.divide(rows * columns, all_of_it, out=np.zeros_like(square), where=all_of_it > 0))
+    return np.asarray(np.maximum(change, np.minimum(product, change.max(axis=(1, 2), keepdims=True))))
+
+
+@dataclass(frozen=True, eq=False)
+class PairErrors:
+    """Errors ``shares`` (n_probe, n_port, n_port) of the largest entry of points under contacts, at rising ``probes``
+    (n_probe,) [Hz]; their largest of such a pair is e(f)."""
+
+    probes: FloatArray
+    shares: FloatArray
+
+    def of(self, found: Compliance) -> FloatArray:
+        """What ``found`` may miss (n, n_port, n_port) [m/N]: shares linear between probes, the ends' beyond."""
+        between = np.array([np.interp(found.frequency, self.probes, e) for e in np.eye(len(self.probes))])
+        points, contacts = found.indices("point"), found.indices("contact")
+        block = found.values[:, points or contacts][:, :, contacts or points]
+        size = np.abs(block).max(axis=(1, 2))
+        return np.asarray(np.tensordot(between.T, self.shares, 1) * size[:, None, None])
+
+
+# What an error of G means for S.
+
+_WAVES = 64  # random cosines that make up one perturbation
+
+
+@dataclass(frozen=True, eq=False)
+class StrengthInterval:
+    """S of the unperturbed G, and the ``low``, ``median`` and ``high`` quantiles over perturbed ones, each
+    [-].
+
+    All have the shape of what the strength function returns; ``samples`` (n_draws, ...) are the draws.
+    """
+
+    value: FloatArray
+    low: FloatArray
+    median: FloatArray
+    high: FloatArray
+    samples: FloatArray
+    coverage: float
+
+
+@checked
+def signal_strength_uncertainty(
+    transfer: TransferMatrix,
+    strength: Callable[[TransferMatrix], FloatArray],
+    errors: Sequence[ErrorEstimate] | None = None,
+    *,
+    draws: int = 100,
+    seed: int = 0,
+    correlation: float = 50.0,
+    coverage: float = 0.95,
+) -> StrengthInterval:
+    """Interval of S when G errs by ``errors`` (None: those of ``transfer``), by Monte Carlo.
+
+    ``strength`` maps a G to S of any shape, e.g. ``lambda g: strengths(g, targets, methods, wavelet)``: it aims anew on
+    each perturbed G (the error of the S printed), or replays fixed drives (what a device calibrated on a wrong G does).
+    Each source adds an independent complex Gaussian perturbation, as large at each pair of ports as it states there
+    (:func:`perturbed`), or where it does not tell pairs apart over all entries, with max_ij |dG_ij| = e(f) max_ij
+    |G_ij| at every frequency, smooth in frequency over about ``correlation`` [Hz]: discretisation and truncation err
+    smoothly, and errors white in frequency would average out of S. The true error has structure that this does not
+    know. Holes of G are left as they are; what they cost is not in the interval. Raises DataError without errors, with
+    one that is unknown, or with fewer than 2 draws.
+    """
+    sources = tuple(transfer.errors if errors is None else errors)
+    if not sources or draws < 2 or not 0 < coverage < 1 or correlation <= 0:
+        raise DataError("an interval of S needs error estimates of G, at least 2 draws, a coverage in (0, 1)")
+    if lost := [e.source for e in sources if not e.known]:
+        raise DataError(f"the error by {', '.join(lost)} is unknown, and so is the interval of S")
+    rng = np.random.default_rng(seed)
+    samples = np.stack([strength(perturbed(transfer, sources, rng, correlation)) for _ in range(draws)])
+    tail = (1 - coverage) / 2
+    low, median, high = np.quantile(samples, [tail, 0.5, 1 - tail], axis=0)
+    value = np.asarray(strength(transfer), dtype=float)
+    return StrengthInterval(value, np.asarray(low), np.asarray(median), np.asarray(high), samples, coverage)
+
+
+def perturbed(
+    transfer: TransferMatrix, sources: Sequence[ErrorEstimate], rng: np.random.Generator, correlation: float
+) -> TransferMatrix:
+    """G plus one draw of its errors: complex noise per source, independent over entries, smooth over ``correlation``
+    [Hz]. Its root mean square is each pair's own error where a source tells pairs apart; its largest entry is e(f) of
+    the largest of G at each frequency where not."""
+    usable = np.isfinite(transfer.values) if transfer.valid is None else transfer.valid & np.isfinite(transfer.values)
+    scale = np.max(np.abs(transfer.values), axis=(1, 2), where=usable, initial=0)
+    change = np.zeros(transfer.values.shape, dtype=complex)
+    for source in sources:
+        noise = smooth_noise(transfer.frequency, transfer.values.shape[1:], rng, correlation)
+        size = error_of_pairs(source, transfer.frequency)
+        if size is None:
+            noise /= np.abs(noise).max(axis=(1, 2), keepdims=True)
+            size = relative_error_at(source, transfer.frequency)[:, None, None]
+        change += scale[:, None, None] * size * noise
+    return replace(transfer, values=transfer.values + change)
+
+
+@checked
+def smooth_noise(
+    frequency: FloatArray, shape: tuple[int, ...], rng: np.random.Generator, correlation: float
+) -> ComplexArray:
+    """Complex noise (n, *shape) [-] of unit variance with correlation exp(-(df / correlation)^2 / 2), df in
+    [Hz].
+
+    Sum of 64 exponentials exp(i tau f) with random amplitudes and tau normal of width 1 / correlation.
+    """
+    whole = isinstance(shape, list | tuple) and all(isinstance(n, int | np.integer) and n >= 0 for n in shape)
+    if frequency.ndim != 1 or not whole or not 0 < correlation < np.inf:
+        raise DataError(
+            "noise needs frequencies (n,), a shape of whole numbers and a positive correlation in Hz, got "
+            f"{frequency.shape}, {shape!r} and {correlation:g}"
+        )
+    tau = rng.normal(0, 1 / correlation, _WAVES)
+    amplitude = rng.normal(size=(_WAVES, *shape)) + 1j * rng.normal(size=(_WAVES, *shape))
+    return np.asarray(np.tensordot(np.exp(1j * np.outer(frequency, tau)), amplitude / np.sqrt(2 * _WAVES), axes=1))
+
+
+# What an answer of a library states of its own errors: interpolation, the twin, contacts, the reduced model.
+
+
+def stated_errors(
+    found: Compliance, deviation: FloatArray, missed: FloatArray, flat: FloatArray, bent: float, moved: FloatArray
+) -> tuple[ErrorEstimate, ...]:
+    """Estimates from the standard ``deviation`` (n_frequency, p, p) [m/N] of what is interpolated and what the reduced
+    model has ``missed`` (likewise), from e(f) (n_frequency,) of the ``flat`` twin, from that of its flat discs,
+    ``bent``, and from the share of each entry by which it is ``moved`` (p, p) as skin is stretched
+    (:func:`moved_by_stretch`).
+
+    Entries from discs to points count, between discs where there are none.
+    """
+    rows, columns = found.indices("point") or found.indices("contact"), found.indices("contact")
+    values = found.values[:, rows][:, :, columns]
+    size = np.abs(values).max(axis=(1, 2))
+    stretched = (np.abs(values) * moved[np.ix_(rows, columns)]).max(axis=(1, 2)) / size
+    frequency = tuple(found.frequency.tolist())
+
+    def by_entry(source: ErrorSource, off: FloatArray, method: str) -> ErrorEstimate:
+        """What each entry is ``off`` by, as an estimate: beside the largest at each frequency, and over the band."""
+        off = off[:, rows][:, :, columns]
+        each = tuple((off.max(axis=(1, 2)) / size).tolist())
+        return ErrorEstimate(source, float(np.linalg.norm(off) / np.linalg.norm(values)), method, frequency, each)
+
+    return (
+        by_entry("interpolation", deviation, "spread of what lies between the library's loads, by leaving each of them "
+                 "out"),
+        _weighed("quadrature", flat, size, frequency, "the flat twin's tables, and last terms and orders of the "
+                 "tractions under its discs"),
+        _weighed("contact", bent + stretched, size, frequency, "a quarter of the disc's squared curvature, and lengths "
+                 "that no plane has between a disc and what lies beside it"),
+        by_entry("reduction", missed, "largest against direct solves for some of the library's loads, of those as far "
+                 "apart or farther, at up to five frequencies; and between these"),
+    )  # fmt: skip
+
+
+def moved_by_stretch(ports: tuple[Port, ...], distance: FloatArray, stretch: FloatArray, near: float) -> FloatArray:
+    """Share (p, p) of each entry by which it changes where ``distance`` (p, p) [m] errs by ``stretch`` (p, p).
+
+    Beside a rigid disc of radius a, skin at rest moves as asin(a/r) (Sneddon 1965). Entries of ports whose rims are
+    ``near`` [m] or further apart do not count: what changes so little from place to place is interpolated.
+    """
+    radius = np.array([port.radius if port.kind == "contact" else 0.0 for port in ports])
+    disc = np.maximum(radius[:, None], radius)
+    shorter = distance * (1 - np.abs(stretch))
+    angles = [np.arcsin(np.divide(disc, r, out=np.ones_like(disc), where=r > disc)) for r in (distance, shorter)]
+    beside = (distance > disc) & (distance - radius[:, None] - radius < near)
+    change = np.divide(angles[1], angles[0], out=np.ones_like(disc), where=angles[0] > 0) - 1
+    return np.asarray(np.where(beside, change, 0.0))
+
+
+def _weighed(
+    source: ErrorSource, error: FloatArray, size: FloatArray, frequency: tuple[float, ...], method: str
+) -> ErrorEstimate:
+    """An estimate with e(f) ``error`` (n,) of compliances of ``size`` (n,) [m/N]."""
+    band = float(np.linalg.norm(error * size) / np.linalg.norm(size))
+    return ErrorEstimate(source, band, method, frequency, tuple(error.tolist()))

@@ -1,11 +1,9 @@
 """Voice coils, cones and their shared housing, closed around the skin's compliance."""
 
-from .loop import close_loop
+from .loop import ContactState, close_loop, contact_state, propagate_errors
 from .power import PowerBalance, coil_current, driving_point_impedance, power
 from .response import DeviceResponse, respond
 from .rotating_mass import RotatingMass
-from .sensitivity import propagate_errors
-from .state import ContactState, contact_state
 
 __all__ = [
     "ContactState",

@@ -14,9 +14,7 @@ from ..errors import DataError
 from ..scenario.device import VoltageDevice
 from ..transfer import Compliance
 from ..typing import ComplexArray, FloatArray
-from .circuit import circuit
-from .housing import strap_stiffness
-from .response import DeviceResponse, drive_gains, respond
+from .response import DeviceResponse, circuit, drive_gains, respond, strap_stiffness
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,4 @@
-"""Closing the loop: voice coils, cones and housing around the skin's compliance, for unit voltages.
-
-With F the outward force on the skin, x1 the cones and x2 = H q the housing (outward positive),
-
-    x1 = (C_cc + 1/k) F                                         skin and contact spring (F = 0 out of contact)
-    Bl/Ze V = s (x1 - H q) - omega^2 (Mms + mc) x1 + F          cones, s = Kms + i omega (Rms + Bl^2/Ze)
-    (strap - omega^2 m) q = H^T (s (x1 - H q) - Bl/Ze V)        housing
-
-The unknowns are u and q, where u_k is F_k in contact and x1_k out of contact: (n + 3) equations per
-frequency, solved for all frequencies at once. No new finite-element solve, whatever changes here.
-"""
+"""Closing the loop: voice coils, cones and housing around the skin's compliance, for unit voltages."""
 
 from __future__ import annotations
 
@@ -18,12 +8,104 @@ import numpy as np
 
 from ..arguments import checked
 from ..errors import ScenarioError
-from ..ports import Port
-from ..scenario.device import ActuatorArray, VoltageDevice
+from ..ports import Port, positions
+from ..scenario.device import ActuatorArray, AnyHousing, Device, HeldHousing, VoltageDevice
 from ..transfer import Compliance
 from ..typing import BoolArray, ComplexArray, FloatArray
-from .circuit import Circuit, circuit
-from .housing import dynamic_stiffness, lever_matrix
+
+# The voice coil as a lumped circuit (physics_data.md 4), one frequency axis at a time.
+# V = (Re + i omega Le) I + Bl i omega (x1 - x2), and the coil pushes the cone with Bl I. Positive voltage
+# pushes outward, along the port's axis. Linear: no Le(x), no Bl(x), no heating of Re.
+
+
+@dataclass(frozen=True)
+class Circuit:
+    """The same coil and cone for every actuator; arrays are (n_frequency,)."""
+
+    omega: FloatArray
+    electrical: ComplexArray
+    """Blocked coil impedance Ze = Re + i omega Le [ohm]."""
+    suspension: ComplexArray
+    """Kms + i omega Rms [N/m]."""
+    force_factor: float
+    mass: float
+    """Coil and cone [kg]."""
+
+    @property
+    def force_per_volt(self) -> ComplexArray:
+        """Bl / Ze [N/V]: force of the blocked coil (n_frequency,)."""
+        return np.asarray(self.force_factor / self.electrical)
+
+    @property
+    def spring(self) -> ComplexArray:
+        """Suspension with the shorted coil's damping: Kms + i omega (Rms + Bl^2 / Ze) [N/m]."""
+        return np.asarray(self.suspension + 1j * self.omega * self.force_factor**2 / self.electrical)
+
+    @property
+    def inertia(self) -> FloatArray:
+        """-omega^2 (Mms + mc) [N/m] (n_frequency,)."""
+        return np.asarray(-(self.omega**2) * self.mass)
+
+
+def circuit(device: VoltageDevice, omega: FloatArray) -> Circuit:
+    """Circuit of ``device`` at ``omega`` (n_frequency,) [rad/s]; Kms = Mms w0^2, Rms = w0 Mms / Qms."""
+    coil = device.coil
+    w0 = 2 * np.pi * coil.resonance
+    return Circuit(
+        omega=omega,
+        electrical=np.asarray(coil.resistance + 1j * omega * coil.inductance),
+        suspension=np.asarray(coil.moving_mass * (w0**2 + 1j * omega * w0 / coil.quality)),
+        force_factor=coil.force_factor,
+        mass=coil.moving_mass + device.cone.mass,
+    )
+
+
+# The shell shared by all actuators: a rigid body with heave, roll and pitch on strap and foam.
+# Generalised coordinates q = (z, g theta_x, g theta_y) [m] with g the radius of gyration, about the mean of the
+# contacts, so that the mass matrix is m I. Left out: sliding and yaw, for the strap's forces along the skin are not
+# modelled.
+
+
+def lever_matrix(housing: AnyHousing, contacts: tuple[Port, ...], places: tuple[Port, ...] | None = None) -> FloatArray:
+    """H (n_place, n_q) with x2 = H q: the housing's displacement along each port's axis; n_q = 0 if fixed.
+
+    x2_k = a_z (z + theta_x (y_k - ybar) - theta_y (x_k - xbar)), a_z the axis' component along z and (xbar, ybar) the
+    mean of the ``contacts``, which are the ``places``, too, where these are left out.
+    """
+    places = contacts if places is None else places
+    if isinstance(housing, HeldHousing):
+        return np.zeros((len(places), 0))
+    lever = (positions(places) - positions(contacts).mean(axis=0)) / housing.gyration
+    upward = np.array([p.axis[2] for p in places])
+    return np.asarray(upward[:, None] * np.stack([np.ones(len(places)), lever[:, 1], -lever[:, 0]], axis=1))
+
+
+def strap_stiffness(housing: AnyHousing) -> ComplexArray:
+    """Strap and foam per coordinate (n_q,) [N/m]: k (1 + i loss), times (lever/gyration)^2 for rotations."""
+    if isinstance(housing, HeldHousing):
+        return np.zeros(0, dtype=complex)
+    ratio = (housing.strap_radius / housing.gyration) ** 2
+    return np.asarray(housing.strap_stiffness * (1 + 1j * housing.strap_loss) * np.array([1.0, ratio, ratio]))
+
+
+def dynamic_stiffness(housing: AnyHousing, omega: FloatArray) -> ComplexArray:
+    """Diagonal of k (1 + i loss) - omega^2 m per coordinate (n_frequency, n_q) [N/m]; omega > 0."""
+    mass = 0.0 if isinstance(housing, HeldHousing) else housing.mass
+    return np.asarray(strap_stiffness(housing) - mass * omega[:, None] ** 2)
+
+
+def carries_points(device: Device) -> bool:
+    """Whether the skin at the points follows a share of the housing's motion (``device.housing.skin_share``)."""
+    return isinstance(device, VoltageDevice) and device.housing.skin_share > 0
+
+
+# Closing the loop: voice coils, cones and housing around the skin's compliance, for unit voltages.
+# With F the outward force on the skin, x1 the cones and x2 = H q the housing (outward positive),
+# x1 = (C_cc + 1/k) F                                         skin and contact spring (F = 0 out of contact)
+# Bl/Ze V = s (x1 - H q) - omega^2 (Mms + mc) x1 + F          cones, s = Kms + i omega (Rms + Bl^2/Ze)
+# (strap - omega^2 m) q = H^T (s (x1 - H q) - Bl/Ze V)        housing
+# The unknowns are u and q, where u_k is F_k in contact and x1_k out of contact: (n + 3) equations per
+# frequency, solved for all frequencies at once. No new finite-element solve, whatever changes here.
 
 
 @dataclass(frozen=True)

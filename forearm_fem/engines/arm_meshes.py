@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..accuracy.discretisation import DiscretisationError, discretisation_error, spread_change
-from ..accuracy.dispersion import NumericalDispersion
-from ..accuracy.pair_errors import PairErrors
+from ..accuracy.discretisation import DiscretisationError, NumericalDispersion, discretisation_error, spread_change
+from ..accuracy.estimates import PairErrors
 from ..errors import MeshError
 from ..geometry.cache import cached_mesh
 from ..progress import Progress

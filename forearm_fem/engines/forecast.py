@@ -1,12 +1,16 @@
-"""What a scenario will cost and how well its mesh carries the waves, before anything is solved."""
+"""Cost of a solve before it begins, and what a stage took."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 from ..errors import SolverError
 from ..fem.assembly.coefficients import is_polynomial
@@ -18,14 +22,60 @@ from ..geometry.device.layout import layout_of
 from ..geometry.device.place import place_ports
 from ..geometry.mesh.quality import Resolution, nodes_per_wavelength
 from ..geometry.mesh.tissue_mesh import TissueMesh
-from ..geometry.user.facing import turned_over
+from ..geometry.user.checks import turned_over
 from ..ports import Port
 from ..progress import Progress
+from ..results import StageCost
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..scenario.sweep import ReducedSolve, frequencies
 from ..tissue import resolve_tissues
 from .fem import reduction_tolerance
+
+# Seconds and peak memory of each stage.
+
+
+@dataclass
+class Ledger:
+    """Collects what each stage cost; the one mutable record of a run."""
+
+    stages: dict[str, StageCost] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time a stage and watch the process's memory while it runs."""
+        watch = _MemoryWatch()
+        start = time.perf_counter()
+        watch.start()
+        try:
+            yield
+        finally:
+            watch.stop()
+            seconds = time.perf_counter() - start
+            self.stages[name] = StageCost(seconds=round(seconds, 3), peak_memory_bytes=float(watch.peak))
+
+
+class _MemoryWatch(threading.Thread):
+    """Samples the resident set every 50 ms."""
+
+    def __init__(self) -> None:
+        super().__init__(daemon=True)
+        self._process = psutil.Process()
+        self._done = threading.Event()
+        self.peak = self._process.memory_info().rss
+
+    def run(self) -> None:
+        """See :class:`threading.Thread`."""
+        while not self._done.wait(0.05):
+            self.peak = max(self.peak, self._process.memory_info().rss)
+
+    def stop(self) -> None:
+        """End the sampling."""
+        self._done.set()
+        self.join()
+
+
+# What a scenario will cost and how well its mesh carries the waves, before anything is solved.
 
 NODES_NEEDED = 6.0  # per shear wavelength near the ports; below it the error of far entries passes 10 %
 

@@ -1,25 +1,35 @@
-"""The semi-analytic engine: the same ports on flat layers without end, by the same rules of placement."""
+"""The layered model as an engine, and its tables for many arrangements."""
 
 from __future__ import annotations
 
+import hashlib
 import math
+from collections.abc import MutableMapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
+from .. import __version__
 from ..accuracy.estimates import quadrature_estimate
 from ..errors import ScenarioError
 from ..geometry.device.layout import layers_of, layout_of
 from ..geometry.device.place import parametric_skin, ports_on
 from ..layered import Disc, Layer, Surface, layered_compliance
+from ..layered.tables import Tabulated, from_arrays, tabulate
 from ..ports import Port
 from ..progress import Progress
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb, SurfacesLimb
+from ..scenario.sweep import frequencies
 from ..scenario.tissues import Tissues
+from ..store.shelf import Shelf
 from ..tissue import resolve_tissues
 from ..transfer import Compliance
 from ..typing import ComplexArray, FloatArray
+from ..user_cache import default_cache_dir
+
+# The semi-analytic engine: the same ports on flat layers without end, by the same rules of placement.
 
 _TOLERANCE = 1e-7  # of the quadrature and of the interpolation in frequency: far below what rigid contacts leave
 _NO_PATCH = (
@@ -47,9 +57,7 @@ class LayeredEngine:
         return solve_layered(scenario, frequency, progress=self.progress)
 
 
-def solve_layered(
-    scenario: Scenario, frequency: FloatArray, *, progress: Progress | None = None
-) -> Compliance:
+def solve_layered(scenario: Scenario, frequency: FloatArray, *, progress: Progress | None = None) -> Compliance:
     """Compliance of the scenario's ports on its layers, flat and without end, at ``frequency`` (n,) [Hz].
 
     Contacts are as the scenario has them and scatter each other's waves. Leaves out curvature, bones, supports, sides
@@ -136,3 +144,61 @@ def flat_notes(compliance: Compliance) -> tuple[str, ...]:
 
 def _no_layers(scenario: Scenario) -> str:
     return f"engine: 'layered' needs layers, but limb.shape is '{scenario.limb.shape}'; use engine = 'fem'"
+
+
+# Tables of a scenario's flat twin, made once per tissue, disc and band, and kept in the cache.
+
+_REACH = 0.1  # [m]: tables reach to multiples of it, so that one serves every device of a forearm
+
+
+def tables_reach(span: float) -> float:
+    """The distance [m] that tables for ports up to ``span`` [m] apart reach to."""
+    return float(_REACH * np.ceil((span + 1e-9) / _REACH))
+
+
+def kept_tables(
+    scenario: Scenario,
+    reach: float,
+    *,
+    folder: Path | None = None,
+    known: MutableMapping[str, Tabulated] | None = None,
+    progress: Progress | None = None,
+) -> Tabulated:
+    """The flat twin of the scenario's layers for its disc and band, ports up to ``reach`` [m] apart.
+
+    From ``known``, which is added to, else from ``folder`` (None: the cache), else made and kept there.
+    """
+    key = _key(scenario, reach)
+    if known is not None and key in known:
+        return known[key]
+    shelf = Shelf((folder or default_cache_dir()) / "twin-tables.sqlite", "tables of the layered model")
+    cone, layers, surface = scenario.device.cone, flat_layers(scenario), flat_surface(scenario.tissues)
+    found: Tabulated | None = None
+    if (arrays := shelf.get(key)) is not None:
+        found = from_arrays(arrays, layers, surface, cone.radius, cone.contact)
+    if found is None:
+        low, high = _band(scenario)
+        omega = 2 * np.pi * low, 2 * np.pi * high
+        found = tabulate(layers, omega, cone.radius, cone.contact, surface=surface, farthest=reach, progress=progress)
+        shelf.put(key, found.arrays())
+    if known is not None:
+        known[key] = found
+    return found
+
+
+def _band(scenario: Scenario) -> tuple[float, float]:
+    """Ends [Hz], a rounding beyond the sweep's."""
+    f = frequencies(scenario.sweep)
+    return float(f[0]) * (1 - 1e-9), float(f[-1]) * (1 + 1e-9)
+
+
+def _key(scenario: Scenario, reach: float) -> str:
+    low, high = _band(scenario)
+    omega = 2 * np.pi * np.geomspace(low, high, 7)
+    tissues = {n: (t.density, t.bulk, np.asarray(t.modulus.at(omega)).tolist())
+               for n, t in sorted(resolve_tissues(scenario).items())}  # fmt: skip
+    layers = [(x.thickness_m, x.density) for x in flat_layers(scenario)]
+    cone = scenario.device.cone
+    parts = (__version__, tissues, layers, scenario.tissues.model_dump_json(), scenario.limb.model_dump_json(),
+             cone.radius, cone.contact, round(low, 6), round(high, 6), round(reach, 6))  # fmt: skip
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]

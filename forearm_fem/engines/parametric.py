@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from .. import __version__
-from ..accuracy.pair_errors import PairErrors, raised_to_row_column_mean
+from ..accuracy.estimates import PairErrors, raised_to_row_column_mean
 from ..errors import ReductionError, ScenarioError
 from ..fem.assembly.model import readings
 from ..fem.kernels.compiled import freed_memory_kept
@@ -22,7 +22,7 @@ from ..fem.reduction.per_query_basis import FIRST, Summed, spanned
 from ..fem.reduction.poles import chebyshev_frequencies, rational
 from ..fem.reduction.reduced_model import ReducedModel
 from ..geometry.cache import cached_mesh
-from ..geometry.device.grid_places import GridPlaces, grid_places
+from ..geometry.device.place import GridPlaces, grid_places
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port
 from ..progress import Progress, tell

@@ -23,8 +23,7 @@ from ..fem.reduction.rate_space import Chunk, Pairs
 from ..geometry.cache import cached_mesh
 from ..geometry.device.place import place_ports
 from ..geometry.mesh.quality import Resolution
-from ..geometry.mesh.subdivision import skin_edges
-from ..geometry.mesh.tissue_mesh import TissueMesh
+from ..geometry.mesh.tissue_mesh import TissueMesh, skin_edges
 from ..progress import Progress, tell, within
 from ..results import SolutionRecord
 from ..scenario import Scenario

@@ -177,7 +177,7 @@ def estimated(named: Sequence[Named], said: Declaration, scenario: Scenario, por
     What a calibration says of its recordings is said as warnings.
     """
     from ..measurement.entry import assemble, entry  # of hardware, which few need
-    from ..measurement.sweep import ExponentialSweep
+    from ..measurement.estimators import ExponentialSweep
 
     options, band = scenario.measurement, ExponentialSweep.of(scenario)
     entries, known = [], ({p.name for p in ports[0]}, {p.name for p in ports[1]})
@@ -246,5 +246,3 @@ def _responses(
             f"{name.file}: no channel fits response = '{response}'; it has {', '.join(waveforms(name.file, said))}"
         )
     return [(o, c) for o, c in found if o in known] or found
-
-

@@ -14,24 +14,29 @@ from ..progress import Progress, tell
 from ..scenario import Scenario
 from ..scenario.limb import CylinderLimb, ForearmLimb, MeshLimb, SlabLimb, SurfacesLimb
 from ..typing import FloatArray
-from .device.contacts import check_contact_areas, with_contacts, with_true_rims
-from .device.cramped import why_cramped
 from .device.imprint import imprint
-from .device.landing import FacetSkin
 from .device.layout import RIGID, layout_of
-from .device.place import place_ports, ports_on, true_skin
-from .device.sizing import WIDEST, SizeField, SpaceField, element_sizes, size_growth
+from .device.place import (
+    FacetSkin,
+    check_contact_areas,
+    place_ports,
+    ports_on,
+    true_skin,
+    with_contacts,
+    with_true_rims,
+)
+from .device.sizing import WIDEST, SizeField, SpaceField, element_sizes, size_growth, why_cramped
 from .limb.bending import bent_middles, with_bends
-from .limb.layered import limb_mesh, underside
+from .limb.core import limb_mesh, underside
 from .limb.slab import slab_mesh
 from .limb.tube import Tube, tube_of
 from .mesh.quality import check_count, check_mesh
 from .mesh.refinement import midpoints, refine_near, refine_rims, refine_skin
 from .mesh.tissue_mesh import TissueMesh
-from .user.extent import check_room
+from .user.checks import check_room
 from .user.meshes import user_mesh
 from .user.surfaces import read_surfaces, surfaces_mesh
-from .user.tetwild import MeshTimeout
+from .user.volume import MeshTimeout
 
 _ATTEMPTS = 3  # meshes of curved limbs begin with random numbers: others may succeed where some did not
 _CONTACT_SIZES = 1.0, 0.7, 0.5, 1.4  # sizes under contacts that are tried in turn on a user's mesh

@@ -1,7 +1,8 @@
-"""Meshes are found before they are made: shipped with the scenario, in the user's cache, else built."""
+"""Meshes that come with the package, and those kept for the next run."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import logging
 from dataclasses import asdict
@@ -10,7 +11,7 @@ from typing import Any
 
 from ..errors import DataError, MeshError
 from ..progress import Progress
-from ..scenario import Scenario
+from ..scenario import Scenario, load_scenario
 from ..scenario.elements import MeshOptions
 from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..scenario.shipped import contents, limb_files
@@ -18,13 +19,14 @@ from ..store.folder import write_text
 from ..store.text import digest_of
 from ..user_cache import default_cache_dir
 from .build import build_mesh
-from .device.cramped import refuse_if_too_many
 from .device.layout import RIGID, layout_of
-from .device.sizing import SizeField, element_sizes, size_growth
+from .device.sizing import SizeField, element_sizes, refuse_if_too_many, size_growth
 from .limb.bending import with_bends
 from .mesh.files import read_mesh, write_mesh
-from .mesh.quality import check_count
+from .mesh.quality import check_count, mesh_quality
 from .mesh.tissue_mesh import TissueMesh
+
+# Meshes are found before they are made: shipped with the scenario, in the user's cache, else built.
 
 _QUALITY = MeshOptions().min_quality
 GENERATOR = 7  # raise when the same scenario would give another mesh
@@ -145,3 +147,30 @@ def _read(file: Path, key: str) -> TissueMesh | None:
         _log.warning("cached mesh %s does not match its note; it will be built again", file.with_suffix(".vtu"))
         return None
     return mesh
+
+
+# Make the meshes that come with the program: ``python -m forearm_fem.geometry.cache scenarios/thesis.toml``.
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Build the meshes of a scenario (of the default one if none is named) at the scales asked for."""
+    parser = argparse.ArgumentParser(prog="python -m forearm_fem.geometry.cache", description=__doc__)
+    parser.add_argument("scenario", nargs="?", help="TOML file; without it the default scenario")
+    parser.add_argument("--scale", type=float, nargs="+", default=[1.0], help="factors on all element sizes")
+    parser.add_argument("--folder", type=Path, default=Path("meshes"))
+    chosen = parser.parse_args(arguments)
+    file = Path(chosen.scenario) if chosen.scenario else None
+    scenario = load_scenario(file) if file else Scenario()
+    for scale in chosen.scale:
+        name = (file.stem if file else "default") + ("" if scale == 1 else f"-x{scale:g}")
+        command = " ".join(
+            ["python -m forearm_fem.geometry.cache", *([str(file)] if file else []), f"--scale {scale:g}"]
+        )
+        mesh = ship_mesh(
+            scenario, chosen.folder, name, base=file.parent if file else Path(), scale=scale, command=command
+        )
+        print(name, mesh_quality(mesh))
+
+
+if __name__ == "__main__":
+    main()

@@ -16,9 +16,8 @@ from ..store.text import digest_of
 from .daq import Daq, OpenDevice, Wiring
 from .diagnostics import Finding
 from .entry import Entry, Measured, assemble, entry
-from .recording import Recording
-from .store import Folder
-from .sweep import ExponentialSweep
+from .estimators import ExponentialSweep
+from .recording import Folder, Recording
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,8 @@ from ..typing import BoolArray, ComplexArray, FloatArray
 from ..units import to_displacement
 from .alike import off_alike
 from .diagnostics import Finding, diagnose
-from .estimators import estimate, spectra
+from .estimators import estimate, excited, spectra
 from .recording import Recording
-from .sweep import excited
 
 
 @dataclass(frozen=True, eq=False)

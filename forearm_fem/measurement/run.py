@@ -25,11 +25,10 @@ from ..typing import FloatArray
 from .calibrate import Plan, Step, assembled, calibrate
 from .daq import Daq, Wiring
 from .entry import Measured
-from .loopback import Loopback, check_belongs, loopback, with_latency
+from .estimators import ExponentialSweep
 from .ni import NiDaq
-from .play import Played, play
+from .playback import Loopback, Played, check_belongs, loopback, play, with_latency
 from .sound import SoundCard
-from .sweep import ExponentialSweep
 from .virtual import VirtualDaq, VirtualOptions, VirtualSensor, noise_for
 
 __all__ = ["CalibrationResult", "VirtualSetup", "hardware", "run_calibration", "run_loopback", "run_play", "wired"]

@@ -1,6 +1,6 @@
 """Numbers that judge a rendering or a transfer matrix; nothing here knows how either was made."""
 
-from ..accuracy.perturbed import StrengthInterval, perturbed, signal_strength_uncertainty, smooth_noise
+from ..accuracy.estimates import StrengthInterval, perturbed, signal_strength_uncertainty, smooth_noise
 from ..transfer import relative_error_at
 from .matrix import ConditionSummary, condition_number, condition_summary, singular_values
 from .spot import contrast, fwhm, spot_radius

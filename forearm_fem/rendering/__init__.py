@@ -8,11 +8,10 @@
     everything = render_all(transfer)
 """
 
-from .bridging import Bridged, bridged
+from .bridging import Bridged, Interpolation, bridged
 from .combination import Combination
 from .drives import Aim, Displacements, Drives, Renderer, displacements, drives, scale_to, scaled
 from .funneling import Funneling, funneling_weights
-from .interpolation import Interpolation
 from .inverse_filter import InverseFilter
 from .inversion import Inversion, Regularisation, invert
 from .limits import DriveReport, Limits, beyond_limits, check

@@ -21,7 +21,7 @@ from ..errors import DataError, ScenarioError
 from ..ports import Port
 from ..transfer import TransferMatrix, relative_error_at
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
-from .interpolation import Interpolation, filled_in
+from .bridging import Interpolation, filled_in
 from .inversion import Control
 
 

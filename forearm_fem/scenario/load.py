@@ -18,8 +18,7 @@ from ..errors import ScenarioError
 from .base import Part, kinds_of
 from .changes import copied, dotted, keys_of, put, remade, units_of
 from .model import Scenario
-from .shipped import scenario_file, shipped_scenarios
-from .toml import read_toml
+from .shipped import read_toml, scenario_file, shipped_scenarios
 
 DOTTED = BeforeValidator(lambda values: dotted(values) if isinstance(values, Mapping) else values)
 _SCENARIO = TypeAdapter(Scenario)

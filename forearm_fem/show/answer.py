@@ -11,7 +11,7 @@ import numpy as np
 
 from ..accuracy.estimates import short_verdict
 from ..metrics.strength import strength_text
-from ..rendering.clearance import not_counted_words
+from ..rendering.limits import not_counted_words
 from ..scenario import Scenario
 from ..scenario.shipped import shipped_scenarios
 from ..transfer import total_error

@@ -13,11 +13,10 @@ from .. import __version__
 from ..errors import DataError
 from ..geometry.limb.bending import with_bends
 from ..geometry.mesh.files import read_mesh
-from ..geometry.mesh.subdivision import with_finer_skin
-from ..geometry.mesh.tissue_mesh import TissueMesh
+from ..geometry.mesh.tissue_mesh import TissueMesh, with_finer_skin
 from ..ports import Port
 from ..rendering import Record, Wavelet, from_samples_file, ricker
-from ..rendering.clearance import counted_points
+from ..rendering.limits import counted_points
 from ..results import RunRecord, read_run
 from ..scenario import Scenario, parse_scenario
 from ..scenario.rendering import SampledWavelet

@@ -13,8 +13,8 @@ from ..device import driving_point_impedance, respond
 from ..rendering.limits import limits_of
 from ..typing import ComplexArray, FloatArray
 from .data import Results
+from .page import Table
 from .style import ACTUATORS, GREY, decimal, letter, method_colour, panels, styled
-from .tables import Table
 
 LINES: tuple[Any, ...] = ("-", (0, (4, 2)), (2, (2, 2)), (0, (1, 1.5)))  # equal lines stay visible
 

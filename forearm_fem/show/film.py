@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ..device.housing import carries_points
+from ..device.response import carries_points
 from ..errors import DataError, optional
 from ..ports import Port
 from ..progress import Progress, tell

@@ -21,8 +21,8 @@ from ..store.text import markdown_table
 from ..transfer import ErrorEstimate, size_words
 from ..typing import BoolArray, FloatArray
 from .data import Results
+from .page import Table
 from .style import ACTUATORS, GREY, INK, method_colour, panels, single, styled, widen
-from .tables import Table
 
 TABLE_ONE = ("place", "method", "here", "record", "thesis")  # S over the window, over the whole record, and measured
 

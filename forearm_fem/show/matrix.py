@@ -20,8 +20,8 @@ from ..rendering.spectrum import BinValues, Record
 from ..transfer import TransferMatrix, entry_errors
 from ..typing import ComplexArray, FloatArray
 from .data import Results
+from .page import Table
 from .style import FAINT, GREY, MICRO, NEARNESS, decimal, letter, micro, panels, styled
-from .tables import Table
 
 
 def shown(transfer: TransferMatrix) -> ComplexArray:

@@ -14,16 +14,15 @@ from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import FigureBase
 from matplotlib.patches import Patch
 
-from ..geometry.device.neighbourhood import tetrahedron_orders
-from ..geometry.mesh.curved import true_volumes
-from ..geometry.mesh.tissue_mesh import TissueMesh
+from ..geometry.device.sizing import tetrahedron_orders
+from ..geometry.mesh.tissue_mesh import TissueMesh, true_volumes
 from ..ports import Port, positions
 from ..tissue import resolve_tissues
 from ..typing import FloatArray
 from .data import Results
+from .page import Table
 from .scene import MM, add_bones, add_device, add_grid, add_labels, plotter_for, volume_grid
 from .style import ACTUATORS, GREY, INK, TISSUES, letter, panels, single, styled
-from .tables import Table
 
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 

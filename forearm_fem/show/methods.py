@@ -9,15 +9,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 
 from ..errors import NotApplicable
-from ..measurement.sweep import ExponentialSweep
+from ..measurement.estimators import ExponentialSweep
 from ..ports import Port, positions
 from ..rendering import Record, place, respond, to_spectrum
 from ..typing import ComplexArray, FloatArray
 from .data import Results
 from .device import busy
 from .matrix import shown, unwrapped, zero_points
+from .page import Table
 from .style import ACTUATORS, GREY, INK, MICRO, panels, styled, widen
-from .tables import Table
 
 
 @dataclass(frozen=True, eq=False)

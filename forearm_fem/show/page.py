@@ -1,8 +1,9 @@
-"""Page: every report of the package, as one self-contained HTML file and as a short Markdown file beside it."""
+"""One page for every report: sections, tables, pictures."""
 
 from __future__ import annotations
 
 import base64
+import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,6 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment
 from matplotlib import style
 from PIL import Image
@@ -18,6 +20,42 @@ from ..store.folder import atomic_path, write_text
 from ..store.text import markdown_table
 from ..typing import IntArray
 from .style import SHEET, Drawn, arrange, figure_of, sign
+
+# The numbers of a figure as CSV beside it.
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns of one length; names carry the unit, e.g. ``frequency_Hz``."""
+
+    columns: Mapping[str, Any]
+
+    def as_csv(self, source: str = "") -> str:
+        """Header and rows with ten digits; ``source`` in a first line starting with #."""
+        stream = io.StringIO()
+        if source:
+            stream.write(f"# {source}\n")
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(self.columns)
+        texts = []
+        for column in map(np.asarray, self.columns.values()):
+            form = "{:.10g}".format if np.issubdtype(column.dtype, np.floating) else str
+            texts.append([form(v) for v in column.tolist()])
+        writer.writerows(zip(*texts, strict=True))
+        return stream.getvalue()
+
+
+def stacked_rows(key: str, parts: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Tables below each other, told apart by a first column ``key``."""
+    names = list(next(iter(parts.values())))
+    lengths = {label: len(np.asarray(part[names[0]])) for label, part in parts.items()}
+    columns: dict[str, Any] = {key: [label for label, n in lengths.items() for _ in range(n)]}
+    for name in names:
+        columns[name] = np.concatenate([np.asarray(part[name]) for part in parts.values()])
+    return Table(columns)
+
+
+# Page: every report of the package, as one self-contained HTML file and as a short Markdown file beside it.
 
 _DPI = 200  # of pictures on a page
 _CSS_DPI = 96  # by which a browser draws them

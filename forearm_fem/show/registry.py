@@ -19,8 +19,8 @@ from ..rendering.lattice import is_thesis_grid
 from ..store.folder import atomic_path, write_text
 from . import device, judge, matrix, mesh, methods, targets, waves
 from .data import Results
+from .page import Table
 from .style import SHEET, WIDTHS, Drawn, arrange, clear_legends, figure_of, fit_width, sign
-from .tables import Table
 
 FORMATS = ("png", "pdf", "svg")
 _REPRODUCIBLE: Mapping[str, Any] = MappingProxyType({"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}})

@@ -20,9 +20,9 @@ from ..typing import ComplexArray, FloatArray
 from ..wavefield import Wavefield
 from .data import Results, record_of
 from .device import busy
+from .page import Table, stacked_rows
 from .patch import VolarPatch, volar_patch
 from .style import FAINT, GREY, INK, MICRO, SIGNED, figure_of, method_colour, panels, single, styled
-from .tables import Table, stacked_rows
 
 _INSTANTS = 6
 _FLAT = 1e-3  # of the grid's size: points that are no further off a line span no surface
@@ -141,9 +141,7 @@ def _has_waves(results: Results, target: str) -> bool:
     return True
 
 
-def drive_series(
-    drives: Signals, method: str, target: str, field: Wavefield, *, whole: bool = True
-) -> ComplexArray:
+def drive_series(drives: Signals, method: str, target: str, field: Wavefield, *, whole: bool = True) -> ComplexArray:
     """Fourier-series amplitudes (n_input, n_frequency) of the drives on the wavefield's bins.
 
     Raises NotApplicable unless these are bins of the drives, with ``whole`` all that they move anything on: the motion

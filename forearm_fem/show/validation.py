@@ -12,7 +12,7 @@ _READINGS = {"window": "over the wavelet's window", "record": "over the whole re
 
 
 def validation_page(data: Mapping[str, Any], scene: str = "thesis") -> str:
-    """Markdown of what :func:`forearm_fem.prediction.validate.validate` found; every number is from that run."""
+    """Markdown of what :func:`forearm_fem.questions.predict.validate.validate` found; every number is from that run."""
     made = [str(data[k]) for k in ("draws", "seed", "model", "program")]
     parts = [
         "# Validation\n",
@@ -62,7 +62,7 @@ _PURPOSE = (
     ),
     (
         "inputs",
-        "Spreads and sources of every input: `prediction/priors.toml`, `tissue_laws.json`, [physics "
+        "Spreads and sources of every input: `questions/predict/priors.toml`, `tissue_laws.json`, [physics "
         "data](theory/physics_data.md).",
     ),
     ("validation", "This page: relaxed forearms, 50-500 Hz, normal motion."),

@@ -17,7 +17,7 @@ from ..layered import surface_kernel
 from ..metrics import WaveFit, fit_waves
 from ..metrics.waves import beside
 from ..ports import Port, distances, positions
-from ..questions.compare.adapters import layers_from
+from ..questions.compare.parameters import layers_from
 from ..rendering import Drives, InverseFilter, Wavelet, displacements, drives, place
 from ..rendering.drives import Aim
 from ..rendering.funneling import known_bins
@@ -27,10 +27,9 @@ from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .data import Results
 from .matrix import shown
+from .page import Table, stacked_rows
 from .patch import volar_patch
-from .roots import trace_root
-from .style import FAINT, GREY, MICRO, letter, panels, styled
-from .tables import Table, stacked_rows
+from .style import FAINT, GREY, MICRO, letter, panels, styled, trace_root
 
 _STRAIGHT = 0.5  # rad: beyond, the phase along the line is no line
 _STEP, _POINTS = 2.5e-3, 10  # appendix A: 10 points every 2.5 mm

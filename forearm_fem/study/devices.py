@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ..measurement.daq import Daq
-from ..measurement.loopback import Loopback
+from ..measurement.playback import Loopback
 from ..measurement.virtual import VirtualDaq
 from ..scenario.measurement import DaqOptions
 

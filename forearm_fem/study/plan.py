@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from ..errors import ScenarioError, first_problem
 from ..scenario.base import NonNegative, Part, Positive, is_folder_name
-from ..scenario.toml import read_toml
+from ..scenario.shipped import read_toml
 
 Answer = Literal["one point", "several points", "drawing"]
 Method = Literal["inverse filter", "funneling", "combination"]

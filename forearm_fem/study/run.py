@@ -15,7 +15,7 @@ from ..errors import DataError, MissingExtra, ScenarioError
 from ..files.declaration import Declaration
 from ..geometry.device.layout import planform_ports
 from ..measurement.daq import Daq
-from ..measurement.loopback import Loopback, check_belongs
+from ..measurement.playback import Loopback, check_belongs
 from ..measurement.run import DaqKind, hardware, wired
 from ..measurement.virtual import VirtualDaq, VirtualOptions
 from ..ports import Port

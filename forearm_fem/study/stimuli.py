@@ -16,7 +16,7 @@ from ..errors import AccuracyWarning, DataError, HardwareError, ScenarioError
 from ..files.declaration import Declaration, Ports, arbitrary_gain
 from ..files.read import read
 from ..measurement.daq import Daq, faded
-from ..measurement.play import play
+from ..measurement.playback import play
 from ..rendering.bridging import bridged
 from ..rendering.drives import drives
 from ..rendering.job import renderers

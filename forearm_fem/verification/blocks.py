@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..geometry.limb.prisms import oriented, stack_prisms
+from ..geometry.limb.filling import oriented, stack_prisms
 from ..geometry.mesh.tissue_mesh import Bends, TissueMesh
 from ..geometry.mesh.topology import EDGES, boundary_faces
 from ..typing import FloatArray, IntArray

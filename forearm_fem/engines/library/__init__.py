@@ -7,7 +7,6 @@ flat twin, ``bands`` splits the band.
 """
 
 from .arm import ArmLibrary
-from .file import is_library, load_library, save_library
-from .make import make_library
+from .make import is_library, load_library, make_library, save_library
 
 __all__ = ["ArmLibrary", "is_library", "load_library", "make_library", "save_library"]

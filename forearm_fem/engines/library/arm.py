@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-from ...accuracy.of_library import moved_by_stretch, stated_errors
+from ...accuracy.estimates import moved_by_stretch, stated_errors
 from ...errors import GeometryError, ScenarioError
 from ...geometry.device.layout import layout_of
 from ...geometry.device.place import parametric_skin, ports_on
@@ -28,11 +28,9 @@ from ...typing import BoolArray, ComplexArray, FloatArray, IntArray
 from ..engine import refuse_unheld
 from ..layered import flat_layers
 from ..solved import Solved
-from .bands import Bands
-from .between import Lattice, Prior, Shape, shape_of
-from .flat_bells import flat_compliance
-from .hold import deviation_held, held
-from .limb import Limb, real_product
+from .between import Bands, Lattice, Prior, Shape, shape_of
+from .limb import Limb, deviation_held, held, real_product
+from .loads import flat_compliance
 from .skin import FlatSkin, flat_skin
 
 MARGIN = 0.02  # [m] of skin around the patch that bells reach

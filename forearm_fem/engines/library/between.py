@@ -1,12 +1,4 @@
-r"""From loads on a lattice to any disc or point: Gaussian-process regression with a prior of waves.
-
-What the limb's response differs from its flat twin's is smooth: waves no shorter than the tissues' carry it. Its prior
-is :math:`E|\hat d(k)|^2\propto(1+k^2/\kappa^2)^{-p}` with kappa a multiple of the shortest wavenumber, for the place of
-the source and that of the receiver alike. Bells on the lattice have the transform :math:`e^{-k^2w^2/2}`, rigid discs
-:math:`\sin ka/ka`, the tilt of these ik times :math:`3j_1(ka)/ka`, pressure :math:`2J_1(ka)/ka`, points 1: covariances
-between any two are one-dimensional integrals, and the regression both moves a load between lattice places and changes
-its shape.
-"""
+"""Answers between the places and frequencies that were solved."""
 
 from __future__ import annotations
 
@@ -15,11 +7,60 @@ from functools import lru_cache
 
 import numpy as np
 import scipy.linalg
+from numpy.polynomial import chebyshev
 from scipy.interpolate import CubicSpline
 from scipy.special import j0, j1, spherical_jn
 
 from ...ports import Port
-from ...typing import ComplexArray, FloatArray
+from ...typing import ComplexArray, FloatArray, IntArray
+
+# Parts of a band, in each of which waves are taken as equally long, and what is smooth in frequency follows from few
+# nodes.
+
+_RATIO = 1.6  # between the ends of a part, about
+NODES = 12  # of each part
+
+
+@dataclass(frozen=True)
+class Bands:
+    """Parts with ``edges`` (k + 1,) [Hz], rising."""
+
+    edges: FloatArray
+
+    @classmethod
+    def of(cls, low: float, high: float) -> Bands:
+        """The parts of ``low`` to ``high`` [Hz]."""
+        count = max(1, round(np.log(high / low) / np.log(_RATIO)))
+        return cls(np.geomspace(low, high, count + 1))
+
+    @property
+    def nodes(self) -> FloatArray:
+        """Chebyshev nodes (k, NODES) [Hz] in the root of the frequency, rising."""
+        x = -np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
+        low, high = np.sqrt(self.edges[:-1, None]), np.sqrt(self.edges[1:, None])
+        return np.asarray((low + 0.5 * (high - low) * (x + 1)) ** 2)
+
+    def number(self, frequency: FloatArray) -> IntArray:
+        """The part (n,) that each ``frequency`` (n,) lies in."""
+        return np.clip(np.searchsorted(self.edges, frequency, "right") - 1, 0, len(self.edges) - 2)
+
+    def between(self, frequency: FloatArray) -> FloatArray:
+        """Matrices (n, NODES) that carry values at the nodes of its part to each ``frequency`` (n,)."""
+        part = self.number(frequency)
+        low, high = np.sqrt(self.edges[part]), np.sqrt(self.edges[part + 1])
+        x = 2 * (np.sqrt(frequency) - low) / (high - low) - 1
+        at = -np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
+        inverse = np.linalg.inv(chebyshev.chebvander(at, NODES - 1))
+        return np.asarray(chebyshev.chebvander(x, NODES - 1) @ inverse)
+
+
+# From loads on a lattice to any disc or point: Gaussian-process regression with a prior of waves.
+# What the limb's response differs from its flat twin's is smooth: waves no shorter than the tissues' carry it. Its
+# prior is :math:`E|\hat d(k)|^2\propto(1+k^2/\kappa^2)^{-p}` with kappa a multiple of the shortest wavenumber, for the
+# place of the source and that of the receiver alike. Bells on the lattice have the transform :math:`e^{-k^2w^2/2}`,
+# rigid discs :math:`\sin ka/ka`, the tilt of these ik times :math:`3j_1(ka)/ka`, pressure :math:`2J_1(ka)/ka`, points
+# 1: covariances between any two are one-dimensional integrals, and the regression both moves a load between lattice
+# places and changes its shape.
 
 _POWER = 4.0  # p of the prior
 _NODES = 400  # of the rule over wavenumbers

@@ -1,30 +1,88 @@
-"""One long run per arm: mesh, one factorisation, a space for all loads on the patch, and the flat twin's tables."""
+"""Making a library, and its file."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ...errors import ForearmError, ScenarioError
 from ...layered.integrals import Medium
+from ...layered.tables import from_arrays
 from ...progress import Progress, within
 from ...scenario import Scenario, parse_scenario
 from ...scenario.limb import tissue_keys
+from ...store.record import dims, load, said_content, save
 from ...tissue import KelvinVoigt, resolve_tissues
 from ...typing import ComplexArray, FloatArray
-from ..layered import flat_layers, flat_surface
-from ..tables import kept_tables, tables_reach
+from ..layered import flat_layers, flat_surface, kept_tables, tables_reach
 from .arm import WIDTH, ArmLibrary, library_band, library_skin
-from .bands import Bands
-from .between import Lattice
-from .flat_bells import between_flat_bells, flat_compliance, pair_distances
-from .loads import Bells
+from .between import Bands, Lattice
+from .limb import Limb
+from .loads import Bells, between_flat_bells, flat_compliance, pair_distances
 from .side import BIN, LoadedSkin, Side, solved_side
 from .skin import FlatSkin
+
+# ``library.nc``: an arm's library as one file that can be shared.
+
+
+@dataclass(frozen=True, eq=False)
+class LibraryFile:
+    """Contents of the file; fields are those of :class:`.arm.ArmLibrary`, with the arrays of its layered model."""
+
+    kind: ClassVar[str] = "arm's library"
+    version: ClassVar[int] = 1
+
+    scenario: dict[str, Any]
+    centres: FloatArray = field(metadata=dims("bell uv", units="m"))
+    sideways: FloatArray = field(metadata=dims("sideways_bell uv", units="m"))
+    width: float
+    fine: Limb
+    coarse: Limb | None
+    freed: Limb | None
+    ratio: float
+    distances: FloatArray = field(metadata=dims("distance", units="m"))
+    flat: ComplexArray = field(metadata=dims("part node integral distance"))
+    twin: Mapping[str, Any] = field(metadata=dims("*"))
+    radius: float
+    contact: str
+    bins: FloatArray = field(metadata=dims("bin", units="m"))
+    spread: FloatArray = field(metadata=dims("part direction bin"))
+    reduction: FloatArray = field(metadata=dims("frequency_and_errors checked"))
+    missed: FloatArray = field(metadata=dims("checked direction bin"))
+    facts: Mapping[str, Any]
+
+
+def save_library(path: str | Path, library: ArmLibrary) -> None:
+    """Write the ``library``; DataError where that cannot be done."""
+    x, twin = library, library.twin
+    save(path, LibraryFile(
+        x.scenario.model_dump(mode="json"), x.centres, x.sideways, x.width, x.fine, x.coarse, x.freed, x.ratio,
+        x.distances, x.flat, twin.arrays(), twin.radius, twin.contact, x.bins, x.spread, x.reduction, x.missed, x.facts,
+    ))  # fmt: skip
+
+
+def is_library(path: str | Path) -> bool:
+    """Whether the file says of itself that it holds an arm's library; of this version or not, whole or not."""
+    return said_content(path) == LibraryFile.kind
+
+
+def load_library(path: str | Path) -> ArmLibrary:
+    """Read what :func:`save_library` wrote; DataError for a missing, damaged or outdated file."""
+    x = load(path, LibraryFile)
+    scenario = parse_scenario(x.scenario, origin=str(path))
+    twin = from_arrays(x.twin, flat_layers(scenario), flat_surface(scenario.tissues), x.radius, x.contact)
+    return ArmLibrary(
+        scenario, x.centres, x.sideways, x.width, x.fine, x.coarse, x.freed, x.ratio, x.distances, x.flat, twin, x.bins,
+        x.spread, x.reduction, x.missed, x.facts,
+    )  # fmt: skip
+
+
+# One long run per arm: mesh, one factorisation, a space for all loads on the patch, and the flat twin's tables.
 
 COARSER = 2.0  # size ratio of the second mesh
 _DISC = 8e-3  # [m] radius of the one contact that the mesh is made around

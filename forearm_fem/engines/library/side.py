@@ -132,7 +132,6 @@ class _Space:
             })  # fmt: skip
 
 
-
 def solved_side(
     meshed: Scenario, loaded: LoadedSkin, base: Path, scale: float = 1.0, progress: Progress | None = None
 ) -> Side:

@@ -10,8 +10,7 @@ import skfem
 from skfem.element import ElementH1
 from skfem.refdom import RefTet
 
-from ...geometry.mesh.curved import bent_jacobians, bent_places, straight_jacobians
-from ...geometry.mesh.tissue_mesh import TissueMesh
+from ...geometry.mesh.tissue_mesh import TissueMesh, bent_jacobians, bent_places, straight_jacobians
 from ...typing import BoolArray, FloatArray, IntArray
 
 # Element pairs: displacement order, pressure order, quadrature; third-order tetrahedra that scikit-fem lacks.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import coo_array, csr_array, eye_array, kron
 
-from ...geometry.device.neighbourhood import tetrahedron_orders
+from ...geometry.device.sizing import tetrahedron_orders
 from ...geometry.mesh.tissue_mesh import TissueMesh
 from ...ports import Port
 from ...typing import BoolArray, FloatArray, IntArray

@@ -13,7 +13,7 @@ from ...typing import FloatArray, IntArray
 from ..mesh.refinement import independent, onto_circle, split_edges
 from ..mesh.tissue_mesh import TissueMesh
 from ..mesh.topology import SIDES, edge_lengths, edges_of
-from .contacts import from_axis, near
+from .place import from_axis, near
 
 Lift = Callable[[FloatArray], FloatArray]
 _SNAP = 0.3  # a vertex closer than this part of an edge moves onto the circle, else the edge is split

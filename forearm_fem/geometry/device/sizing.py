@@ -1,18 +1,92 @@
-"""Element sizes: from the scenario's accuracy, its highest frequency and its slowest shear wave."""
+"""Element sizes and orders around the ports from the accuracy asked for, and the room that contacts need."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import combinations, product
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
+from ...errors import MeshError
+from ...ports import Port
 from ...scenario import Scenario
-from ...scenario.limb import SlabLimb
-from ...typing import FloatArray
+from ...scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
+from ...typing import BoolArray, FloatArray, IntArray
+from ..mesh.tissue_mesh import TissueMesh
+from ..mesh.topology import EDGES, SIDES, edge_lengths, edges_of
 from .layout import RIGID, Layout, layers_of
-from .neighbourhood import half_planes
+
+# The part of a mesh that waves pass on their way from contacts to points, and the order of elements there.
+
+REACH, DEPTH = 0.03, 0.025  # [m] what third order gains beyond them on the forearm is in docs/decisions/0002
+_UNIFORM = {"P1": 1, "P2": 2, "P3": 3}
+# Longest edge, relative to the usual edge between ports, up to which second order is enough: in the outermost tissue,
+# the one beneath, all deeper ones. Second order needs edges half as long as third; fat's waves are 1.4 times shorter.
+# At 0.95 and 1.42 points beside a rigid disc on a slab were 10 % off at 500 Hz, whatever the accuracy asked for, and
+# the second mesh was off by nearly the same (docs/decisions/0026-rims.md).
+_SMALL = (0.0, 0.5, 0.7)
+
+
+def tetrahedron_orders(mesh: TissueMesh, ports: tuple[Port, ...], element: str) -> IntArray:
+    """Order of displacements (n_tet,) in each tetrahedron: with "P2/P3" third around the ports, second elsewhere."""
+    if element in _UNIFORM:
+        return np.full(len(mesh.region), _UNIFORM[element])
+    third = near_ports(mesh, ports, REACH, DEPTH)
+    if any(p.contact in RIGID for p in ports):  # their rims made tetrahedra beneath smaller than waves ask
+        corners = mesh.points[mesh.tetrahedra]
+        longest = np.max([np.linalg.norm(corners[:, a] - corners[:, b], axis=1) for a, b in EDGES], axis=0)
+        depth = np.minimum(tissue_depths(mesh), len(_SMALL) - 1)[mesh.region]
+        third &= ~(longest < usual_edge(mesh, ports) * np.array(_SMALL)[depth])
+    return np.where(third, 3, 2)
+
+
+def near_ports(mesh: TissueMesh, ports: tuple[Port, ...], reach: float, depth: float) -> BoolArray:
+    """Tetrahedra (n_tet,) around the ports: seen along z at most about ``reach`` [m] outside the hull of all contacts
+    and points, and at most ``depth`` [m] below the lowest of them."""
+    centre = mesh.points[mesh.tetrahedra].mean(axis=1)
+    if not ports:
+        return np.zeros(len(centre), dtype=bool)
+    places = np.array([p.position[:2] for p in ports])
+    planes = half_planes(places, np.array([p.radius for p in ports]) + reach)
+    around = (centre[:, :2] @ planes[:, :2].T + planes[:, 2] <= 0).all(axis=1)
+    return np.asarray(around & (centre[:, 2] >= min(p.position[2] for p in ports) - depth))
+
+
+def tissue_depths(mesh: TissueMesh) -> IntArray:
+    """How many tissues (n_region,) lie between each tissue and the skin's surface."""
+    depth = np.full(len(mesh.region_names), len(mesh.region_names))
+    touched, here = np.isin(mesh.tetrahedra, mesh.facets["skin"]).sum(axis=1) >= 3, 0
+    while touched.any():
+        depth[np.unique(mesh.region[touched])] = here
+        reached = np.isin(mesh.tetrahedra, mesh.tetrahedra[depth[mesh.region] <= here]).any(axis=1)
+        touched, here = reached & (depth[mesh.region] > here), here + 1
+    return depth
+
+
+def usual_edge(mesh: TissueMesh, ports: tuple[Port, ...]) -> float:
+    """Median edge [m] of the skin between the ports, away from contacts; zero where nothing is."""
+    edges = edges_of(mesh.facets["skin"], SIDES)
+    middle = mesh.points[edges].mean(axis=1)
+    xy, volar = middle[:, :2], middle[:, 2] > min(p.position[2] for p in ports) - DEPTH
+    planes = half_planes(np.array([p.position[:2] for p in ports]), np.array([p.radius for p in ports]))
+    chosen = volar & (xy @ planes[:, :2].T + planes[:, 2] <= 0).all(axis=1)
+    for port in (p for p in ports if p.kind == "contact"):
+        chosen &= np.linalg.norm(xy - port.position[:2], axis=1) > 2 * port.radius
+    lengths = edge_lengths(mesh.points, edges[chosen])
+    return float(np.median(lengths)) if len(lengths) else 0.0
+
+
+def half_planes(places: FloatArray, radii: FloatArray) -> FloatArray:
+    """Half planes (k, 3) a x + b y + c <= 0 around the hull of circles of ``radii`` (n,) about ``places`` (n, 2)."""
+    turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    circle = np.column_stack([np.cos(turn), np.sin(turn)])
+    around = [p + r * circle for p, r in zip(places, radii, strict=True)]
+    return np.asarray(ConvexHull(np.vstack(around)).equations) if around else np.zeros((0, 3))
+
+
+# Element sizes: from the scenario's accuracy, its highest frequency and its slowest shear wave.
 
 DEFAULT_SHEAR_SPEED = 2.2  # [m/s] slowest default tissue (fat, low end) at 500 Hz, physics_data.md 6
 _CONTACT, _FAR = 0.8, 6.0  # relative to the size between contacts and grid
@@ -196,3 +270,73 @@ def _tree(points: FloatArray) -> cKDTree:
     # Large, plain leaves: half of the time of a search for most of a limb, which is far away, and the same distances.
     finite = points[np.isfinite(points).all(axis=1)]
     return cKDTree(finite, leafsize=32, compact_nodes=False, balanced_tree=False)
+
+
+# What can be said about a mesh before it is made, and why one failed: too many elements, too little room.
+
+_PER_CUBE = 6 * np.sqrt(2)  # regular tetrahedra in the volume h^3
+_CERTAIN = 1.5  # meshes of slabs and limbs had 1.05 to 5 times as many as counted: this many too many are certain
+_NARROW = 0.3  # radii: a strip of skin that no good tetrahedron fits
+
+
+def refuse_if_too_many(scenario: Scenario, size: SizeField) -> None:
+    """Raise MeshError where the wanted sizes surely need more elements than ``mesh.max_elements``."""
+    count = expected_tetrahedra(scenario, size)
+    if count > _CERTAIN * scenario.mesh.max_elements:
+        raise MeshError(
+            f"the sizes asked for need about {count:.2g} tetrahedra, mesh.max_elements allows "
+            f"{scenario.mesh.max_elements:g}; enlarge mesh.size_contact, size_grid or size_far, or raise it"
+        )
+
+
+def expected_tetrahedra(scenario: Scenario, size: SizeField) -> float:
+    """Rough number of tetrahedra: the integral of 6 sqrt(2) / h^3 over the limb, whose sizes h are ``size``.
+
+    A slab's columns are as wide all the way down as at the skin.
+    Of the user's surfaces and meshes only the block under the ports is counted.
+    """
+    (x, y), depth = _extent(scenario, size.layout)
+    axes = (np.linspace(*x, 41), np.linspace(*y, 41), np.linspace(0, depth, 21))
+    places = np.stack(np.meshgrid(*((a[1:] + a[:-1]) / 2 for a in axes), indexing="ij"), axis=-1).reshape(-1, 3)
+    cell = np.prod([a[1] - a[0] for a in axes])
+    deep = size(places[:, :2], places[:, 2])
+    wide = size(places[:, :2]) if isinstance(scenario.limb, SlabLimb) else deep  # columns keep their width
+    return float(np.sum(_PER_CUBE * cell / (wide**2 * deep)))
+
+
+def why_cramped(scenario: Scenario, layout: Layout) -> str:
+    """The narrowest strip beside a contact in words, where it is too narrow for good tetrahedra; else empty."""
+    radius = layout.radius
+    strips = [
+        (float(np.linalg.norm(layout.contacts[i] - layout.contacts[j])) - 2 * radius, f"{a} and {b}", "between them")
+        for (i, a), (j, b) in combinations(enumerate(layout.names), 2)
+    ]
+    if isinstance(scenario.limb, SlabLimb):
+        half = np.array([scenario.limb.length, scenario.limb.width]) / 2
+        strips += [
+            (float(half[axis] - abs(layout.contacts[i, axis])) - radius, a, "to the slab's side")
+            for (i, a), axis in product(enumerate(layout.names), (0, 1))
+        ]
+    gap, who, where = min(strips, default=(np.inf, "", ""))
+    if gap >= _NARROW * radius:
+        return ""
+    return (
+        f"contact {who}: the disc of radius {radius * 1e3:.3g} mm leaves {gap * 1e3:.2g} mm {where}, too narrow for "
+        "the mesh; move it or reduce device.cone.radius"
+    )
+
+
+def _extent(scenario: Scenario, layout: Layout) -> tuple[tuple[tuple[float, float], tuple[float, float]], float]:
+    """Ranges of x and y, and the depth [m], of the block that the limb fills."""
+    limb = scenario.limb
+    if isinstance(limb, SlabLimb):
+        low_x, low_y = ((0.0 if axis in limb.symmetry else -1.0) for axis in ("x", "y"))
+        x, y = limb.length / 2, limb.width / 2
+        return ((low_x * x, x), (low_y * y, y)), limb.depth
+    if isinstance(limb, ForearmLimb | CylinderLimb):
+        around = min(c for _, c in limb.circumference) if isinstance(limb, ForearmLimb) else np.pi * limb.diameter
+        side = around / np.pi * np.sqrt(np.pi) / 2  # of the square as large as the round section
+        return ((-limb.length / 2, limb.length / 2), (-side / 2, side / 2)), side
+    places = np.vstack([layout.contacts, layout.points])
+    low, high = places.min(axis=0) - layout.radius, places.max(axis=0) + layout.radius
+    return ((float(low[0]), float(high[0])), (float(low[1]), float(high[1]))), layout.radius

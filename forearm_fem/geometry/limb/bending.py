@@ -13,9 +13,8 @@ import numpy as np
 from ...scenario import Scenario
 from ...scenario.limb import CylinderLimb, ForearmLimb
 from ...typing import FloatArray, IntArray
-from ..mesh.curved import bent_jacobians, straight_jacobians
 from ..mesh.refinement import Middle, midpoints
-from ..mesh.tissue_mesh import Bends, TissueMesh
+from ..mesh.tissue_mesh import Bends, TissueMesh, bent_jacobians, straight_jacobians
 from ..mesh.topology import EDGES, SIDES, boundary_faces, keys
 from .tube import Tube, tube_of
 

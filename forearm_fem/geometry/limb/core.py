@@ -1,4 +1,4 @@
-"""Tetrahedra of the muscle core: even triangles on its surface, graded tetrahedra inside."""
+"""Inside of a limb: conformal chart of its walls, core of tetrahedra, layers around it."""
 
 from __future__ import annotations
 
@@ -11,10 +11,96 @@ from ...errors import MeshError
 from ...typing import BoolArray, FloatArray, IntArray
 from ..device.layout import Layout
 from ..device.sizing import Sizes
-from ..mesh.topology import SIDES, boundary_faces, edges_of
-from .chart import Chart, Place, spread
-from .filling import Shell, fill
+from ..mesh.tissue_mesh import DOWN, TissueMesh
+from ..mesh.topology import SIDES, boundary_faces, edges_of, triangle_normals
+from .filling import Shell, fill, oriented, stack_prisms
+from .planar import Rectangle, triangulate
 from .tube import BoneAxis, Tube
+
+# A limb's skin or a bone's wall unrolled into a plane without distorting angles, and points spread evenly on it.
+
+Place = tuple[FloatArray, FloatArray]  # x [m] and angle [rad] (n,) of points on a tube
+_STATIONS = 4001
+_NONE = np.zeros((0, 2))
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Conformal map of a tube's surface to the rectangle 0 <= u <= end, -pi <= v <= pi; the seam is dorsal.
+
+    With radius r(x), du = sqrt(1 + r'^2) dx / r and v the share of the section's arc: ds^2 = r^2 (du^2 + dv^2), exact
+    for round sections. Even triangles of the plane are even on the surface. ``x``, ``u``, ``radius`` and ``angle``,
+    ``v`` are tables, joined linearly.
+    """
+
+    x: FloatArray
+    u: FloatArray
+    radius: FloatArray
+    angle: FloatArray
+    v: FloatArray
+
+    @classmethod
+    def of_skin(cls, tube: Tube) -> Chart:
+        """The skin; an elliptic section counts by its arc length."""
+        x = np.linspace(-tube.length / 2, tube.length / 2, _STATIONS)
+        angle = np.linspace(-np.pi, np.pi, _STATIONS)
+        ring = tube.place(np.zeros(_STATIONS), angle, 0.0)
+        arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(ring, axis=0), axis=1))])
+        radius = arc[-1] / (2 * np.pi) * tube.height(x) / tube.height(np.zeros(1))
+        return cls(x, _stretched(x, radius), radius, angle, (2 * arc / arc[-1] - 1) * np.pi)
+
+    @classmethod
+    def of_bone(cls, tube: Tube, bone: BoneAxis) -> Chart:
+        """A bone's wall, taken as a straight cylinder: its axis leans by a few degrees at most."""
+        x = np.linspace(-tube.length / 2, tube.length / 2, _STATIONS)
+        around = np.linspace(-np.pi, np.pi, _STATIONS)
+        radius = np.full(_STATIONS, bone.radius)
+        return cls(x, _stretched(x, radius), radius, around, around)
+
+    def surface(self, uv: FloatArray) -> Place:
+        """x and angle of points of the plane (n, 2)."""
+        return np.interp(uv[:, 0], self.u, self.x), np.interp(uv[:, 1], self.v, self.angle)
+
+    def plane(self, x: FloatArray, angle: FloatArray) -> FloatArray:
+        """Points of the plane (n, 2) at ``x`` and ``angle`` (n,)."""
+        return np.column_stack([np.interp(x, self.x, self.u), np.interp(angle, self.angle, self.v)])
+
+    def scale(self, uv: FloatArray) -> FloatArray:
+        """Metres on the surface per unit of the plane (n,)."""
+        return np.interp(uv[:, 0], self.u, self.radius)
+
+
+def _stretched(x: FloatArray, radius: FloatArray) -> FloatArray:
+    middle = (radius[1:] + radius[:-1]) / 2
+    return np.concatenate([[0], np.cumsum(np.hypot(np.diff(x), np.diff(radius)) / middle)])
+
+
+def spread(
+    chart: Chart,
+    size: Callable[[FloatArray, FloatArray], FloatArray],
+    *,
+    circles: Place | None = None,
+    radius: float = 0.0,
+    fixed: Place | None = None,
+) -> Place:
+    """x and angle (n,) of points about ``size(x, angle)`` [m] apart that triangulate evenly, the same at every call.
+
+    Rings of points follow the circles of ``radius`` [m] about ``circles``; ``fixed`` places become points too.
+    """
+    centres = chart.plane(*circles) if circles else _NONE
+    wanted = chart.plane(*fixed) if fixed else _NONE
+    rim = radius / float(chart.scale(centres).mean()) if len(centres) else 1.0
+    box = Rectangle((0.0, -np.pi), (float(chart.u[-1]), np.pi))
+    uv, _ = triangulate(box, lambda uv: size(*chart.surface(uv)) / chart.scale(uv), centres, rim, wanted)
+    low, high = (np.sort(uv[np.abs(uv[:, 1] - seam) < 1e-9, 0]) for seam in (-np.pi, np.pi))
+    if len(low) != len(high):
+        raise MeshError("the limb's skin could not be unrolled, its seam has two sides; set mesh.size_far smaller")
+    u, v = uv[uv[:, 1] < np.pi - 1e-9].T  # the seam's points at v = pi are those at -pi again
+    u = np.where(u < 1e-9, 0.0, np.where(u > chart.u[-1] - 1e-9, chart.u[-1], u))
+    return chart.surface(np.column_stack([u, v]))
+
+
+# Tetrahedra of the muscle core: even triangles on its surface, graded tetrahedra inside.
 
 _BONE_FACET = 2.0  # far from contacts, relative to the facets near them: eight at accuracy 0.05
 _BONE_SHARE = 0.5  # of the size around: a contact over 4 mm of muscle felt the octagon by 2 % at 60 Hz
@@ -187,3 +273,69 @@ def _from_bones(tube: Tube, points: FloatArray) -> FloatArray:
 
 def _radii(tube: Tube) -> FloatArray:
     return np.array([b.radius for b in tube.bones] or [0.0])
+
+
+# Forearm and cylinder: prism layers of exact thickness grown outwards from the core.
+
+_COARSE = 2.0  # where columns are further apart than this many sizes between the ports, layers are not divided
+
+
+def limb_mesh(
+    tube: Tube, size: Size3, sizes: Sizes, layout: Layout, *, elastic_bones: bool, seed: int = 1
+) -> TissueMesh:
+    """Core, and on it layers of prisms cut into tetrahedra; contacts are imprinted afterwards.
+
+    Away from the device each tissue layer is one prism thick: there the levels inside a layer fall together.
+    """
+    core = core_mesh(tube, size, sizes, layout, elastic=elastic_bones, seed=seed)
+    depths, tissues = _depths(tube, sizes)
+    column = np.unique(core.lateral)
+    points = [core.points]
+    levels = np.zeros((len(depths), len(core.points)), dtype=np.int64)
+    levels[0] = np.arange(len(core.points))
+    for k, depth in enumerate(depths[1:], start=1):
+        levels[k, column] = len(core.points) + (k - 1) * len(column) + np.arange(len(column))
+        points.append(tube.place(core.points[column, 0], core.angle[column], depth))
+    coarse = column[size(core.points[column]) > _COARSE * sizes.grid]
+    merged = levels.copy()
+    for k in range(1, len(tissues)):
+        if tissues[k] == tissues[k - 1]:  # the level between two sublayers falls onto the layer's lower face
+            merged[k, coarse] = merged[k - 1, coarse]
+    stacked, under = stack_prisms(core.lateral, merged)
+    inner = ["bone" if b >= 0 else tube.core for b in core.bone]
+    names = tuple(dict.fromkeys([*(each.tissue for each in tube.layers), tube.core, *inner]))
+    region = np.array([names.index(t) for t in [*inner, *(tissues[u] for u in under)]])
+    places = np.vstack(points)
+    on_skin, on_bone = np.zeros((2, len(places)), dtype=bool)
+    on_skin[levels[-1, column]] = True
+    on_bone[: len(core.points)] = core.on_bone
+    used, renumbered = np.unique(oriented(places, np.vstack([core.tetrahedra, stacked])), return_inverse=True)
+    places, tetrahedra = places[used], renumbered.reshape(-1, 4)
+    return TissueMesh(places, tetrahedra, region, names, boundaries(places, tetrahedra, on_skin[used], on_bone[used]))
+
+
+def _depths(tube: Tube, sizes: Sizes) -> tuple[FloatArray, list[str]]:
+    """Depths (k + 1,) from the core's surface up to the skin, and the tissue between each pair of them."""
+    depths, tissues, depth = [tube.thickness], [], tube.thickness
+    for layer, count in reversed(list(zip(tube.layers, sizes.sublayers, strict=True))):
+        depths += [depth - layer.thickness * (i + 1) / count for i in range(count)]
+        tissues += [layer.tissue] * count
+        depth = depths[-1]
+    depths[-1] = 0.0 if tissues else depths[-1]
+    return np.array(depths), tissues
+
+
+def boundaries(points: FloatArray, tetrahedra: IntArray, on_skin: BoolArray, on_bone: BoolArray) -> dict[str, IntArray]:
+    """Skin, underside, bone and end from flags per vertex (n_point,); ends are what remains."""
+    faces, _ = boundary_faces(tetrahedra)
+    skin = on_skin[faces].all(axis=1)
+    bone = ~skin & on_bone[faces].all(axis=1) & (np.ptp(points[faces, 0], axis=1) > 0)
+    named = {"skin": faces[skin], "bone": faces[bone], "end": faces[~skin & ~bone]}
+    named["underside"] = underside(points, named["skin"])
+    return {name: each for name, each in named.items() if len(each)}
+
+
+def underside(points: FloatArray, skin: IntArray) -> IntArray:
+    """Skin triangles whose outward normal points down, n_z < :data:`DOWN`: they may be held."""
+    normal = triangle_normals(points, skin)
+    return np.asarray(skin[normal[:, 2] < DOWN * np.linalg.norm(normal, axis=1)])

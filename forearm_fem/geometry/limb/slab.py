@@ -11,8 +11,8 @@ from ..device.layout import Layout
 from ..device.sizing import SizeField
 from ..mesh.tissue_mesh import TissueMesh
 from ..mesh.topology import boundary_faces
+from .filling import oriented, stack_prisms
 from .planar import Rectangle, triangulate
-from .prisms import oriented, stack_prisms
 
 _TALLEST = 13.5  # columns under a disc stay as narrow all the way down: core layers are so many times as thick at most
 _CORE_GROWTH = 2.0  # thickness of core layers grows by 1 + 2 * grading from one to the next

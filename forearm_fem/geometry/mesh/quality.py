@@ -11,9 +11,8 @@ from scipy.spatial import cKDTree
 from ...errors import MeshError, MeshTooLarge
 from ...ports import Port, positions
 from ...typing import FloatArray
-from ..device.neighbourhood import tetrahedron_orders
-from .curved import true_volumes
-from .tissue_mesh import TissueMesh
+from ..device.sizing import tetrahedron_orders
+from .tissue_mesh import TissueMesh, true_volumes
 from .topology import EDGES, FACES, SIDES, edge_lengths, edges_of, is_member, keys, mean_ratios, pieces
 
 

@@ -19,10 +19,9 @@ from ...progress import Progress, tell
 from ...store.text import plain
 from ...transfer import TransferMatrix
 from ...typing import ComplexArray, FloatArray
-from .agreement import Agreement, agreement
+from .agreement import Agreement, Where, agreement, where
 from .common import CommonGround, common_ground
 from .crossplay import CrossPlay, try_cross_play
-from .where import Where, where
 
 _TOGETHER = 0.5e-3  # m: points as far from the source as this count as one distance
 

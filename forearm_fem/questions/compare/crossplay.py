@@ -64,7 +64,9 @@ def cross_play(
     a, b = (bridged(g).transfer for g in sides(ground))
     every = tuple(p.name for p in ground.outputs)
     found = rendering_of(ground, folders) or (
-        RenderJob(thesis_renderers(), wavelet_for(ground.frequency), every), "the thesis' renderers", ""
+        RenderJob(thesis_renderers(), wavelet_for(ground.frequency), every),
+        "the thesis' renderers",
+        "",
     )
     job, whose, apart = found
     job = job if targets is None else replace(job, targets=tuple(targets))

@@ -1,12 +1,36 @@
-"""What a fit looks for, and how it says what it could not find."""
+"""Parameters of a fit, and the models that answer for their values."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+from scipy.stats.qmc import LatinHypercube
+
+from ...accuracy.estimates import quadrature_estimate
+from ...device.loop import close_loop
+from ...engines.arm_meshes import ArmMeshes, arm_meshes
+from ...engines.layered import flat_disc, flat_layers, flat_surface
+from ...engines.parametric import ParametricModel, parametric_model
 from ...errors import ScenarioError
+from ...geometry.device.layout import layers_of
+from ...layered import Layer, layered_compliance
+from ...layered.response import scattered_orders
+from ...ports import Port
+from ...progress import Progress
+from ...scenario import Scenario, parse_scenario
+from ...scenario.device import VoltageDevice
+from ...scenario.limb import tissue_keys
+from ...tissue import Zener, resolve_tissues
+from ...transfer import Compliance, TransferMatrix
+from ...typing import FloatArray
+
+# What a fit looks for, and how it says what it could not find.
 
 _MEMBER = 0.3  # of a unit vector: parameters with this share belong to a combination
 
@@ -73,3 +97,215 @@ class Direction:
             f"the data cannot tell {', '.join(names[:-1])} and {names[-1]} apart: along {' '.join(sign)} they are "
             f"uncertain by {share} of their allowed range"
         )
+
+
+# Ready-made models for :func:`fit`: a scenario's tissue and actuator parameters, by their keys.
+
+_POOL = 120  # arms within the ranges of a fit, from which its finite elements are reduced
+_REACH = 3.0  # times or divided by: a fit's ranges reach to 6, where measured tissue is not
+_BELOW = 0.999  # of a Zener law's mu_infinity, up to which its mu may go
+_TERMS, _FEWER = 4, 1  # under rigid cones, and orders fewer than the twin takes: 5e-5 of points for the thesis' device
+ComplianceOf = Callable[[Scenario], Compliance]
+
+
+class ScenarioModel:
+    """Maps dotted scenario keys, e.g. ``tissues.override.skin.mu`` or ``device.coil.moving_mass``, to G.
+
+    ``compliance_of`` computes the skin (layered twin, reduced model, full FE); it is called only when a key outside
+    ``device`` changes, for the actuators are closed around it at no cost. The last ``memory`` skins are kept.
+    """
+
+    def __init__(self, scenario: Scenario, compliance_of: ComplianceOf, memory: int = 64) -> None:
+        self._base = scenario.model_dump(mode="json", exclude_none=True)
+        self._compliance_of = compliance_of
+        self._memory = memory
+        self._known: dict[tuple[tuple[str, float], ...], Compliance] = {}
+
+    def scenario(self, values: Mapping[str, float]) -> Scenario:
+        """The scenario with ``values`` set; ScenarioError for an unknown key."""
+        result: Any = dict(self._base)
+        for key, value in values.items():
+            result = _put(result, key.split("."), value, key)
+        return parse_scenario(result, origin="fit")
+
+    def __call__(self, values: Mapping[str, float]) -> TransferMatrix:
+        """G at ``values``."""
+        scenario = self.scenario(values)
+        key = tuple(sorted((k, v) for k, v in values.items() if not _lumped(k)))
+        if key not in self._known:
+            if len(self._known) >= self._memory:
+                self._known.pop(next(iter(self._known)))
+            self._known[key] = self._compliance_of(scenario)
+        return close_loop(self._known[key], scenario.device)
+
+
+def _lumped(key: str) -> bool:
+    """Keys that do not change the skin: coil, cone mass and housing (the cone's radius does)."""
+    return key.startswith(("device.coil.", "device.housing.")) or key == "device.cone.mass"
+
+
+def _put(data: Any, path: list[str], value: float, key: str) -> Any:
+    if not path:
+        return value
+    if isinstance(data, list | tuple):
+        if not path[0].isdigit() or int(path[0]) >= len(data):
+            raise ScenarioError(f"{key}: '{path[0]}' is no position in a list of {len(data)}")
+        at = int(path[0])
+        return [*data[:at], _put(data[at], path[1:], value, key), *data[at + 1 :]]
+    if not isinstance(data, Mapping):
+        raise ScenarioError(f"{key}: nothing can be set below '{path[0]}'")
+    return {**data, path[0]: _put(data.get(path[0], {}), path[1:], value, key)}
+
+
+def layered_compliance_of(
+    frequency: FloatArray, outputs: tuple[Port, ...], inputs: tuple[Port, ...], *, tolerance: float = 1e-4
+) -> ComplianceOf:
+    """The layered twin at ``frequency`` (n,) [Hz] between the planform places of the measured ports.
+
+    Flat and infinite, with the scenario's cones and membrane: a fit absorbs what that leaves out into its parameters.
+    The core below the layers is a half-space.
+    """
+
+    def compute(scenario: Scenario) -> Compliance:
+        """The flat twin's columns of contacts; points do not drive."""
+        cone = scenario.device.cone
+        ports = (*(Port(p.name, "contact", p.position, p.axis, cone.radius, cone.contact) for p in inputs), *outputs)
+        discs = [flat_disc(port) for port in ports]
+        result = layered_compliance(
+            layers_from(scenario), 2 * np.pi * frequency, discs[: len(inputs)], discs,
+            surface=flat_surface(scenario.tissues), tolerance=tolerance, terms=_TERMS,
+            orders=max(scattered_orders(discs) - _FEWER, 0),
+        )  # fmt: skip
+        values = np.full((len(frequency), len(ports), len(ports)), np.nan + 0j)
+        values[:, :, : len(inputs)] = result.values
+        values[:, : len(inputs)] = result.values.swapaxes(1, 2)
+        error = result.error
+        estimate = quadrature_estimate(
+            frequency, error,
+            "last terms and orders of the tractions under rigid discs, quadrature",
+        )  # fmt: skip
+        return Compliance(frequency, values, ports, (estimate,), provenance={"engine": "layered"})
+
+    return compute
+
+
+def fem_compliance_of(model: ParametricModel, frequency: FloatArray) -> ComplianceOf:
+    """The scene's finite elements, reduced for the tissues of a fit, at ``frequency`` (n,) [Hz] between its ports."""
+    return lambda scenario: model.compliance(scenario, frequency)
+
+
+def fem_model_for(
+    scenario: Scenario, parameters: Sequence[Parameter], *, base: str | Path = ".", progress: Progress | None = None
+) -> ParametricModel:
+    """The scene's finite elements for values of the ``parameters`` from a third to three times their start.
+
+    Kept in the cache. Raises ScenarioError for parameters that need another mesh, and what solving the scenario raises.
+    """
+    return parametric_model(scenario, base=base, draws=_pool(scenario, parameters), progress=progress)
+
+
+def fem_meshes_for(
+    scenario: Scenario, parameters: Sequence[Parameter], *, base: str | Path = ".", progress: Progress | None = None
+) -> ArmMeshes:
+    """The same on a second mesh, which tells what the elements err by; MeshError says why there is none."""
+    return arm_meshes(scenario, base, _pool(scenario, parameters), progress)
+
+
+def fem_compliance_less_error(
+    model: ParametricModel, meshes: ArmMeshes, arm: Scenario, frequency: FloatArray
+) -> ComplianceOf:
+    """:func:`fem_compliance_of` less what the elements err by, as far as the change on the second mesh has its shape
+    and, at each ``frequency`` (n,) [Hz], the size that is stated for an ``arm``."""
+    share = meshes.share(arm, model.compliance(arm, frequency))[:, None, None]
+
+    def compute(scenario: Scenario) -> Compliance:
+        """The model's answer less its share of the change to the second mesh."""
+        own, other = (m.compliance(scenario, frequency) for m in (model, meshes.second))
+        return replace(own, values=own.values - share * (other.values - own.values))
+
+    return compute
+
+
+def _pool(scenario: Scenario, parameters: Sequence[Parameter]) -> list[Scenario]:
+    """The arms that a fit's finite elements are reduced for, the scene first."""
+    skin = [p for p in parameters if not _lumped(p.name) and p.name not in ("scale", "delay")]
+    if geometry := [p.name for p in skin if not p.name.startswith("tissues.")]:
+        raise ScenarioError(
+            f"{geometry[0]}: a mesh has one geometry, so that a fit on finite elements cannot look for it; leave it "
+            "out, or fit on the layered twin"
+        )
+    free = ScenarioModel(scenario, _never)
+    places = LatinHypercube(max(len(skin), 1), rng=np.random.default_rng(0)).random(_POOL)
+    drawn = [
+        free.scenario({p.name: p.start * _REACH ** (2 * x - 1) for p, x in zip(skin, row, strict=False)})
+        for row in places
+    ]
+    return [scenario, *drawn]
+
+
+def _never(scenario: Scenario) -> Compliance:
+    raise AssertionError(f"{scenario.name} is not solved here")
+
+
+def layers_from(scenario: Scenario) -> tuple[Layer, ...]:
+    """The scenario's layers on a half-space of its core tissue; ScenarioError for a limb without layers."""
+    if not layers_of(scenario.limb) or not isinstance(getattr(scenario.limb, "core", None), str):
+        raise ScenarioError(
+            "limb: the layered twin needs a parametric limb with layers and a core; fit on finite elements with --fem"
+        )
+    return tuple(flat_layers(scenario))
+
+
+def common_parameters(scenario: Scenario, names: Sequence[str]) -> tuple[Parameter, ...]:
+    """Parameters with sourced ranges (physics_data.md 4 and 9) for short names: skin.mu, skin.eta, fat.mu, ...,
+    coil.moving_mass, cone.mass, coil.resonance, coil.quality, fat.thickness, plus scale and delay (stage
+    0). ScenarioError for names that are none, such as those of tissues that the limb has not, and for repeated ones."""
+    known = _known(scenario)
+    if repeated := [n for n in dict.fromkeys(names) if list(names).count(n) > 1]:
+        raise ScenarioError(f"{repeated[0]} is named twice; name each parameter of a fit once")
+    if unknown := [n for n in names if n not in known]:
+        raise ScenarioError(f"no parameter is called {', '.join(unknown)}; known are {', '.join(known)}")
+    return tuple(known[n] for n in names)
+
+
+def _around(key: str, start: float, low: float, high: float, unit: str = "") -> Parameter:
+    """A parameter of an actuator, from ``low`` to ``high`` for the thesis' kind; for another the range is wider."""
+    if not low <= start <= high:
+        low, high = min(low, start / 3), max(high, 3 * start)
+    return Parameter(key, start, low, high, log=True, unit=unit)
+
+
+def _known(scenario: Scenario) -> dict[str, Parameter]:
+    tissues = resolve_tissues(scenario)
+    found = {
+        "scale": Parameter("scale", 1.0, 0.2, 5.0, log=True, stage=0),
+        "delay": Parameter("delay", 0.0, -2e-3, 2e-3, stage=0, unit="s"),
+    }
+    if isinstance(device := scenario.device, VoltageDevice):
+        coil, cone = device.coil, device.cone
+        found |= {
+            "coil.moving_mass": _around("device.coil.moving_mass", coil.moving_mass, 0.1e-3, 1e-3, "kg"),
+            "coil.force_factor": _around("device.coil.force_factor", coil.force_factor, 0.8, 7.0, "T m"),
+            "coil.resonance": _around("device.coil.resonance", coil.resonance, 300.0, 1000.0, "Hz"),
+            "coil.quality": _around("device.coil.quality", coil.quality, 1.0, 10.0),
+        }
+        if cone.mass > 0:
+            found["cone.mass"] = _around("device.cone.mass", cone.mass, 0.1e-3, 1.5e-3, "kg")
+    layers = layers_of(scenario.limb)
+    alike = Counter(part.tissue for part in layers)
+    for layer, part in enumerate(layers):
+        key = f"limb.layers.{layer}.thickness"  # layers of one tissue are told apart by their place from outside
+        name = part.tissue if alike[part.tissue] == 1 else f"{part.tissue}.{layer + 1}"
+        found[f"{name}.thickness"] = Parameter(
+            key, part.thickness, part.thickness / 3, part.thickness * 3, log=True, unit="m"
+        )
+    own = {*tissue_keys(scenario.limb).values(), *(("bone",) if getattr(scenario.limb, "bones", ()) else ())}
+    for name, tissue in tissues.items():
+        for short, unit in (("mu", "Pa"), ("eta", "Pa s")):
+            value = getattr(tissue.modulus, short, None)
+            if name in own and isinstance(value, float) and value > 0:
+                key, high = f"tissues.override.{name}.{short}", value * 6
+                if short == "mu" and isinstance(tissue.modulus, Zener):
+                    high = min(high, _BELOW * tissue.modulus.mu_infinity)
+                found[f"{name}.{short}"] = Parameter(key, value, value / 6, high, log=True, unit=unit)
+    return found

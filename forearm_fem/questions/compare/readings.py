@@ -1,24 +1,158 @@
-"""Which mistake of units, convention or wiring would explain that two transfer matrices differ; data are never changed.
-
-A *reading* multiplies B by a power of ten, a power of i omega and a phase e^{i omega tau}, conjugates it, or negates
-channels. Each combination of these is tried and the simplest that brings B to A is named.
-Exchanged channels are looked for as well (:mod:`.exchanges`). Not covered: gains that are no power of a thousand (said
-as a ratio), two different mistakes in different channels, and exchanged channels of another unit.
-"""
+"""Readings of a G that would make two agree: units, signs, exchanged channels, delays."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
-from ...typing import ComplexArray, FloatArray
+from ...typing import ComplexArray, FloatArray, IntArray
 from .common import CommonGround
-from .exchanges import exchanged
-from .nearness import AGREES, FLOOR, LARGE, PRICE, correlation, distance, explains
+
+# How near two transfer matrices are, and when what brings them nearer is a mistake and not another arm.
+# Nearness is s = ||A - B|| / sqrt(||A|| ||B||), as large for B a thousand times too small as for a thousand times too
+# large.
+
+_BETTER, _NEAR = 3.0, 1.0  # a reading must lower s at least so many times, to no more than this,
+_SHAPE, _GAINED = 0.6, 0.5  # or raise the correlation by the second to above the first, sizes being within LARGE,
+_FAR, _NEARISH = 10.0, 2.0  # or bring what lies beyond the first, correlating so, to within the second
+PRICE = 1.5  # every further element of a reading must lower s this many times
+FLOOR = 1e-3  # s below this counts as exact: rounding must not choose
+AGREES = 0.5  # e_band up to which two are called so
+LARGE = 30.0  # a ratio of norms beyond this is said even where no reading helps
+
+
+def explains(base: float, shape_before: float, after: float, shape: float) -> bool:
+    """Whether distances and correlations before and after a reading are those of a mistake, not of another arm."""
+    nearer = after <= min(base / _BETTER, _NEAR)
+    alike = shape >= _SHAPE and shape - shape_before >= _GAINED and after <= math.sqrt(LARGE + 1 / LARGE - 2 * shape)
+    return nearer or alike or (base >= _FAR and after <= _NEARISH and shape >= _SHAPE)
+
+
+def distance(a: ComplexArray, b: ComplexArray) -> float:
+    """s [-] of two matrices of one shape."""
+    return float(np.linalg.norm(a - b) / np.sqrt(np.linalg.norm(a) * np.linalg.norm(b)))
+
+
+def correlation(a: ComplexArray, b: ComplexArray) -> float:
+    """Re <a, b> / (||a|| ||b||) [-]."""
+    return float((a.conj() * b).real.sum() / (np.linalg.norm(a) * np.linalg.norm(b)))
+
+
+# Which channels, exchanged, would make two transfer matrices agree: plugs in the wrong sockets.
+# Data are never changed.
+
+_NAMED = 6  # ports a sentence names
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """Cycles of port names of B whose channels change places.
+
+    ``before`` and ``after`` are e_band of B as it is, and so exchanged.
+    """
+
+    outputs: tuple[tuple[str, ...], ...]
+    inputs: tuple[tuple[str, ...], ...]
+    before: float
+    after: float
+
+    @property
+    def sentence(self) -> str:
+        """Which channels to exchange, how well the two agree then, and that nothing was done."""
+        sides = (("inputs", self.inputs), ("outputs", self.outputs))
+        how = "agrees with" if self.after < AGREES else "comes nearest to"
+        what = ", and ".join(f"its {side} {_spoken(cycles)}" for side, cycles in sides if cycles)
+        return (
+            f"B {how} A when {what}: e_band {self.after:.2g} instead of {self.before:.2g}. "
+            "Nothing was changed; check the wiring or the names"
+        )
+
+
+def exchanged(ground: CommonGround) -> Exchange | None:
+    """The fewest exchanges of inputs, outputs or both that bring B to A as no other arm is; None where none do.
+
+    Two arms that differ by more than noise get none: their channels correlate too little for it. On a symmetric device
+    exchanged inputs may equal exchanged outputs, and several orders may do as well: one that takes few is named.
+    """
+    a, b = (np.where(ground.valid, m, 0) for m in (ground.a, ground.b))
+    if not (a.any() and b.any()):
+        return None
+    tries = [(rows, columns, b[:, rows][:, :, columns]) for rows, columns in _orders(a, b)]
+    rows, columns, values = min(
+        tries, key=lambda t: max(distance(a, t[2]), FLOOR) * PRICE ** len([*_cycles(t[0]), *_cycles(t[1])])
+    )
+    if not (_cycles(rows) or _cycles(columns)):
+        return None
+    if not explains(distance(a, b), correlation(a, b), distance(a, values), correlation(a, values)):
+        return None
+    before, after = (float(np.linalg.norm(a - x) / np.linalg.norm(a)) for x in (b, values))
+    names = [p.name for p in ground.outputs], [p.name for p in ground.inputs]
+    return Exchange(_named(rows, names[0]), _named(columns, names[1]), before, after)
+
+
+def _orders(a: ComplexArray, b: ComplexArray) -> Iterator[tuple[IntArray, IntArray]]:
+    """Orders of b's outputs and inputs: as they are, inputs alone, outputs alone, either after the other."""
+    rows, columns = np.arange(a.shape[1]), np.arange(a.shape[2])
+    yield rows, columns
+    for pair in (_by_distance, _by_shape):
+        first_columns, first_rows = pair(a, b, 2), pair(a, b, 1)
+        yield rows, first_columns
+        yield first_rows, columns
+        yield pair(a, b[:, :, first_columns], 1), first_columns
+        yield first_rows, pair(a, b[:, first_rows], 2)
+
+
+def _by_distance(a: ComplexArray, b: ComplexArray, axis: int) -> IntArray:
+    """For each channel of ``a`` along ``axis`` the one of ``b`` that stands for it: what is left is least."""
+    one, other = _channels(a, axis), _channels(b, axis)
+    return np.asarray(linear_sum_assignment((np.abs(one[:, None] - other[None]) ** 2).sum(axis=2))[1])
+
+
+def _by_shape(a: ComplexArray, b: ComplexArray, axis: int) -> IntArray:
+    """The same for matrices of two arms: sizes do not count, channels correlate best."""
+    one, other = (m / np.maximum(np.linalg.norm(m, axis=1, keepdims=True), np.finfo(float).tiny)
+                  for m in (_channels(a, axis), _channels(b, axis)))  # fmt: skip
+    return np.asarray(linear_sum_assignment(-(one.conj() @ other.T).real)[1])
+
+
+def _channels(m: ComplexArray, axis: int) -> ComplexArray:
+    return np.moveaxis(m, axis, 0).reshape(m.shape[axis], -1)
+
+
+def _cycles(order: IntArray) -> list[list[int]]:
+    """Cycles of a permutation that move something."""
+    left, found = set(range(len(order))), []
+    while left:
+        start = min(left)
+        cycle = [start]
+        while (at := int(order[cycle[-1]])) != start:
+            cycle.append(at)
+        left -= set(cycle)
+        found += [cycle] if len(cycle) > 1 else []
+    return found
+
+
+def _named(order: IntArray, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+    return tuple(tuple(names[i] for i in cycle) for cycle in _cycles(order))
+
+
+def _spoken(cycles: tuple[tuple[str, ...], ...]) -> str:
+    moved = sum(map(len, cycles))
+    if moved > _NAMED:
+        return f"are put in another order ({moved} of them)"
+    return ", ".join(f"{' and '.join(c)} are {'exchanged' if len(c) == 2 else 'permuted'}" for c in cycles)
+
+
+# Which mistake of units, convention or wiring would explain that two transfer matrices differ; data are never changed.
+# A *reading* multiplies B by a power of ten, a power of i omega and a phase e^{i omega tau}, conjugates it, or negates
+# channels. Each combination of these is tried and the simplest that brings B to A is named. Exchanged channels are
+# looked for as well (:mod:`.exchanges`). Not covered: gains that are no power of a thousand (said as a ratio), two
+# different mistakes in different channels, and exchanged channels of another unit.
 
 _ALIKE = 0.1  # s below this: nothing to explain
 _LONGEST = 0.02  # s: delays looked for

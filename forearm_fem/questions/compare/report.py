@@ -17,16 +17,15 @@ from matplotlib.figure import Figure, FigureBase
 
 from ... import __version__
 from ...ports import positions
-from ...rendering.clearance import counted_points, not_counted_words
+from ...rendering.limits import counted_points, not_counted_words
 from ...show.page import Block, Page, Section, embedded
 from ...show.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, micro, panels, sign, single, styled
 from ...store.folder import atomic_path, set_kind, write_text
 from ...typing import BoolArray
-from .agreement import fdac_matrix
+from .agreement import fdac_matrix, where_words
 from .common import CommonGround
 from .compare import Comparison, comparison_record
 from .crossplay import CrossPlay
-from .where import where_words
 
 FILES = ("comparison.json", "comparison.csv", "comparison.png", "comparison.md", "comparison.html")
 _SIDES = (("A", ACTUATORS[0], "-"), ("B", ACTUATORS[5], "--"))

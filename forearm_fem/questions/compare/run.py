@@ -18,15 +18,20 @@ from ...files.declaration import Declaration, arbitrary_gain, declared_by
 from ...files.read import read
 from ...geometry.device.layout import planform_ports
 from ...ports import Port
-from ...prediction.arm import as_wrong
 from ...progress import Progress, tell, within
 from ...scenario import Scenario
 from ...store.folder import check_kind, set_kind, write_text
 from ...store.results import write_transfer
 from ...store.text import plain
 from ...transfer import UNITS, ErrorEstimate, TransferMatrix
-from .adapters import (
+from ..predict.arm import as_wrong
+from .common import common_ground
+from .compare import Comparison, compare
+from .fit import DELAY, FALLBACK_NOISE, SCALE, FitResult, fit, moved_by, with_model_error, with_scattered_error
+from .next_best import NextBest, next_best
+from .parameters import (
     ComplianceOf,
+    Parameter,
     ScenarioModel,
     common_parameters,
     fem_compliance_less_error,
@@ -35,11 +40,6 @@ from .adapters import (
     fem_model_for,
     layered_compliance_of,
 )
-from .common import common_ground
-from .compare import Comparison, compare
-from .fit import DELAY, FALLBACK_NOISE, SCALE, FitResult, fit, moved_by, with_model_error, with_scattered_error
-from .next_best import NextBest, next_best
-from .parameters import Parameter
 from .readings import explained, mistake
 from .report import FILES, as_markdown, save_report
 

@@ -1,10 +1,9 @@
 """Which device to build: variables, an objective and constraints, searched on a fast model of the arm."""
 
-from .arm import ArmModel, TwinArm
-from .candidate import Candidate, evaluate
-from .front import pareto_front
+from .candidate import ArmModel, Candidate, TwinArm, evaluate
 from .model import Design, load_design
 from .run import DesignResult, run_design
+from .search import pareto_front
 
 __all__ = [
     "ArmModel",

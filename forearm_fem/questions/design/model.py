@@ -40,7 +40,7 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from ...errors import ScenarioError, first_problem
-from ...rendering.clearance import CLEARANCE
+from ...rendering.limits import CLEARANCE
 from ...scenario import Scenario, load_scenario, parse_scenario, scenario_beside
 from ...scenario.actuators import ACTUATORS
 from ...scenario.base import Name, Part, Within
@@ -49,7 +49,7 @@ from ...scenario.device import HeldHousing
 from ...scenario.load import DOTTED
 from ...scenario.model import for_elements_only
 from ...scenario.rendering import Method
-from ...scenario.toml import read_toml
+from ...scenario.shipped import read_toml
 from ...typing import BoolArray, FloatArray
 
 _HOUSING, _THESIS = "device.housing.mass", 12.5e-3  # kg of the thesis' actuator

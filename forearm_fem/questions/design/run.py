@@ -18,7 +18,6 @@ import psutil
 
 from ... import __version__
 from ...errors import ScenarioError
-from ...pipeline.folder import Run, run_all
 from ...progress import Progress, tell, within
 from ...rendering.job import wavelet
 from ...results import read_run
@@ -28,11 +27,10 @@ from ...store.shelf import WORK, Shelf
 from ...store.text import digest_of
 from ...store.work import LIGHT, SHARE, cluster, done_once
 from ...store.work import Run as Spread
-from .arm import ArmModel, TwinArm
-from .candidate import Candidate, evaluate, s_interval, score_of
-from .front import pareto_front
+from ..run import Run, run_all
+from .candidate import ArmModel, Candidate, TwinArm, evaluate, s_interval, score_of
 from .model import Design, Values
-from .search import planned, search
+from .search import pareto_front, planned, search
 
 
 @dataclass(frozen=True)

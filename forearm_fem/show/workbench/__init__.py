@@ -10,8 +10,7 @@ end's modules in ``page/`` to one script (``bundle``). These repeat the device's
 JavaScript; the tests hold both against each other.
 """
 
-from .bundle import page_of, write_workbench
+from .bundle import View, page_of, view, write_workbench
 from .content import content_of
-from .notebook import View, view
 
 __all__ = ["View", "content_of", "page_of", "view", "write_workbench"]

@@ -1,10 +1,11 @@
-"""The page as one file: template, styles, script and content, and nothing that a browser would have to fetch."""
+"""The workbench as one HTML page, in a file or in a notebook."""
 
 from __future__ import annotations
 
 import json
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -20,6 +21,8 @@ from ...scenario import Scenario, parse_scenario
 from ...store.folder import write_text
 from ..data import Results
 from .content import content_of, library_content, measured_content
+
+# The page as one file: template, styles, script and content, and nothing that a browser would have to fetch.
 
 _IMPORT = re.compile(r"^import \{ ([^}]*) \} from \"\./(\w+)\.js\";$", re.MULTILINE)
 _EXPORT = re.compile(r"^export ((?:async )?(?:const|function\*?|class) ([\w$]+))", re.MULTILINE)
@@ -139,3 +142,34 @@ def script() -> str:
     assert "</script" not in body  # would end the page's script element early, as the next would
     assert "<!--" not in body
     return f'"use strict";\n(() => {{\n{body}\n}})();'
+
+
+# The page inside a notebook's cell.
+
+
+@dataclass(frozen=True)
+class View:
+    """A page shown in a frame of ``height`` pixels; :meth:`save` keeps it as a file."""
+
+    page: str
+    height: int = 900
+
+    def _repr_html_(self) -> str:
+        """What notebooks ask for; the frame runs the page's script and reaches nothing else."""
+        return (
+            f'<iframe srcdoc="{escape(self.page, quote=True)}" sandbox="allow-scripts allow-downloads" '
+            f'style="width:100%;height:{self.height}px;border:0" title="forearm_fem workbench"></iframe>'
+        )
+
+    def save(self, path: str | Path) -> Path:
+        """Write the page."""
+        from ...store.folder import write_text
+
+        write_text(path, self.page)
+        return Path(path)
+
+
+def view(results: Results | str | Path, *, height: int = 900) -> View:
+    """The workbench of a results folder as the last value of a notebook's cell; DataError for an unfinished run."""
+    found = results if isinstance(results, Results) else Results.open(results)
+    return View(page_of(content_of(found)), height)

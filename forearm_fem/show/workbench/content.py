@@ -12,15 +12,15 @@ import numpy as np
 
 from ... import __version__
 from ...accuracy.estimates import accuracy_verdict
+from ...engines.simulation import simulate
 from ...engines.skin_model import ReducedFile
 from ...errors import DataError, GeometryError, ScenarioError
 from ...files.declaration import arbitrary_gain
 from ...geometry.device.layout import layout_of
-from ...pipeline.simulation import simulate
 from ...ports import Port
-from ...prediction.outcome import DrawsFile
-from ...prediction.run import FILE
 from ...progress import Progress
+from ...questions.predict.outcome import DrawsFile
+from ...questions.predict.run import FILE
 from ...rendering import (
     Bridged,
     Placed,
@@ -132,9 +132,7 @@ def _packed_places(places: Places, arm: LibraryOfArm, scenario: Scenario) -> dic
     }  # fmt: skip
 
 
-def measured_content(
-    transfer: TransferMatrix, scenario: Scenario, stamp: str, base: Path = Path()
-) -> dict[str, Any]:
+def measured_content(transfer: TransferMatrix, scenario: Scenario, stamp: str, base: Path = Path()) -> dict[str, Any]:
     """The page's content for a G without compliance: the device cannot be changed, nothing is known between the points.
 
     ``scenario`` gives the record, the wavelet (its file seen from ``base``), the limits and the renderers' options.

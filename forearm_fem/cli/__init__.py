@@ -1,0 +1,1 @@
+"""Command line: parses, shows progress, prints; all work is done by the library."""

@@ -1,0 +1,259 @@
+"""predict, validate, design, campaign and library: choices before hardware exists."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..errors import DataError, ScenarioError
+from ..scenario import load_scenario
+from .common import (
+    Declared,
+    Display,
+    LibraryFile,
+    OutFolder,
+    Overrides,
+    ScenarioFile,
+    ends_in,
+    holds_g,
+    library_file,
+    measured_g,
+    noted,
+    out_folder,
+    print_notes,
+    refuse_folder,
+    there,
+)
+
+# predict, validate: what S people will see, and how that compares with what was measured.
+
+
+def predict(
+    scenario: ScenarioFile,
+    overrides: Overrides = None,
+    out: OutFolder = None,
+    draws: Annotated[
+        int, typer.Option(min=20, max=100_000, help="arms drawn; 20 is the least for a band of 90 %")
+    ] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="of the draws: the same seed gives the same arms")] = 0,
+    law: Annotated[
+        list[str] | None, typer.Option(help="draw this tissue law only (repeatable): kelvin-voigt, zener, springpot")
+    ] = None,
+    hold: Annotated[
+        list[str] | None,
+        typer.Option(help="keep the scenario's value of an input or group, e.g. tissue, placement, 'signal to noise'"),
+    ] = None,
+    twin: Annotated[
+        bool, typer.Option("--twin/--own", help="arms on the layered twin, or by the scene's own engine")
+    ] = False,
+    resume: Annotated[bool, typer.Option("--resume/--anew", help="go on with draws that the folder holds")] = True,
+    workers: Annotated[int | None, typer.Option(min=1, help="processes; default: what cores and memory allow")] = None,
+    scheduler: Annotated[str | None, typer.Option(help="address of a running Dask scheduler")] = None,
+    sobol: Annotated[
+        bool, typer.Option("--sobol/--no-sobol", help="Sobol' indices, with the extra 'prediction'")
+    ] = True,
+) -> None:
+    """S on people: draws of arms, devices and measurements; bands apart from the error of the numerics."""
+    asked = load_scenario(scenario, overrides=overrides or ())
+    with noted(), Display() as display:
+        display("libraries", 0, 1)  # seconds of a slow or busy machine
+        from ..questions.predict.draws import LAWS
+        from ..questions.predict.run import Question
+        from ..questions.predict.run import predict as run
+        from ..questions.predict.summary import FOLDER, summary, write_summary
+        from ..show.prediction import write_prediction
+        from ..store.folder import locked
+
+        display("libraries", 1, 1)
+        folder = out_folder(out, asked, overrides) / FOLDER
+        question = Question(asked, scenario.parent, seed, tuple(law or LAWS), tuple(hold or ()), twin)
+        with locked(folder):
+            found = run(
+                question, folder, draws=draws, resume=resume, workers=workers, scheduler=scheduler, progress=display
+            )
+            display("report", 0, 1)
+            content = summary(found, sobol)
+            write_summary(folder, content)
+            page, plain = write_prediction(folder, content)
+            display("report", 1, 1)
+        typer.echo(plain.read_text(encoding="utf-8"))
+        typer.echo(f"prediction: {page} ({found.reused} of {draws} draws were there, {found.seconds:.0f} s)")
+
+
+def validate(
+    scenario: ScenarioFile,
+    overrides: Overrides = None,
+    out: OutFolder = None,
+    draws: Annotated[int, typer.Option(min=60, max=100_000, help="arms drawn; 60 leave about 20 for each law")] = 300,
+    seed: Annotated[int, typer.Option(min=0, help="of the draws")] = 0,
+    resume: Annotated[bool, typer.Option("--resume/--anew", help="go on with draws that the folder holds")] = True,
+    workers: Annotated[int | None, typer.Option(min=1, help="processes; default: what cores and memory allow")] = None,
+    scheduler: Annotated[str | None, typer.Option(help="address of a running Dask scheduler")] = None,
+    measured: Annotated[
+        Path | None,
+        typer.Option(help="a measured G (file or results folder) to run through the same comparison", callback=holds_g),
+    ] = None,
+    declare: Declared = None,
+    page: Annotated[
+        Path | None, typer.Option(help="write the page there, e.g. docs/validation.md", callback=ends_in(".md"))
+    ] = None,
+) -> None:
+    """Judge predictions by what was published: measured, band over arms, inside or not; where it fails comes first."""
+    asked = load_scenario(scenario, overrides=overrides or ())
+    name = "" if measured is None else measured.name
+    with noted(), Display() as display:
+        display("libraries", 0, 1)  # seconds of a slow or busy machine
+        from ..questions.predict.run import Question
+        from ..questions.predict.summary import FOLDER
+        from ..questions.predict.validate import validate as run
+        from ..show.validation import coverage, failures, joint_words, validation_page
+        from ..store.folder import locked, write_text
+
+        display("libraries", 1, 1)
+        given = measured_g(measured, asked, declare, "--measured")
+        folder = out_folder(out, asked, overrides) / FOLDER
+        with locked(folder):
+            found = run(
+                Question(asked, scenario.parent, seed), folder, draws=draws, resume=resume, workers=workers,
+                scheduler=scheduler, measured=given, measured_name=name, progress=display,
+            )  # fmt: skip
+    target = page or folder / "validation.md"
+    write_text(target, validation_page(found, asked.name))
+    for what, seen, arms in failures(found):
+        typer.echo(f"{what}: {seen}, arms {arms}")
+    for line in (*joint_words(found), *(f"inside the band, {name}: {inside}" for name, inside in coverage(found))):
+        typer.echo(line)
+    typer.echo(f"validation: {target}")
+
+
+# design: which device to build.
+
+
+def design(
+    file: Annotated[
+        Path, typer.Argument(help="design file: scenario, variables, objective and constraints",
+                             callback=there("no such design file")),
+    ],
+    out: Annotated[Path | None, typer.Option("--out", help="default results/NAME")] = None,
+    confirm: Annotated[
+        bool, typer.Option("--confirm/--no-confirm", help="solve the winner in full by the scenario's own engine")
+    ] = True,
+    library: LibraryFile = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="address of a running Dask scheduler; default: this process")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="processes on this machine; default 1")] = None,
+) -> None:  # fmt: skip
+    """Search for the device with the largest S within limits; interrupted, it goes on where it was."""
+    from ..questions.design import load_design, run_design
+    from ..questions.design.report import outcome_words
+    from ..store.folder import locked
+
+    asked = load_design(file)
+    folder = out or Path("results") / asked.asked.name
+    with locked(folder), Display() as display, noted():
+        result = run_design(
+            asked,
+            folder,
+            arm=library_file(library),
+            confirm=confirm,
+            scheduler=scheduler,
+            workers=workers,
+            progress=display,
+        )
+    for line in outcome_words(result):
+        typer.echo(line)
+    typer.echo(f"{len(result.candidates)} candidates, {len(result.front)} on the Pareto front: {folder / 'report.md'}")
+
+
+# library: one long run per arm, after which any arrangement of discs on its patch is answered in a second.
+
+_LATER = ("device.", "grid.", "rendering.", "measurement.")  # tables of which a library knows the cone alone
+
+
+def library(
+    scenario: ScenarioFile,
+    overrides: Overrides = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="the file to write; default NAME.library.nc", callback=ends_in(".nc"))
+    ] = None,
+) -> None:
+    """Solve once for a patch of an arm's skin; `run --library` then needs no solve."""
+    from ..engines.library import is_library, make_library, save_library
+    from ..store.folder import locked
+
+    asked = load_scenario(scenario, overrides=overrides or ())
+    if asked.engine != "fem":
+        raise ScenarioError("engine: a library is made of finite elements; set engine = 'fem', or leave it out")
+    file = out or Path(f"{asked.name}.library.nc")
+    refuse_folder(file)
+    if file.is_file() and not is_library(file):
+        raise DataError(f"{file}: is there and no library; it is not replaced, name another file with --out")
+    print_notes(_idle(overrides or ()))
+    with locked(file.parent, sums=False), Display() as display:
+        made = make_library(asked, base=scenario.parent, progress=display)
+        save_library(file, made)
+    patch, facts = asked.library, made.facts
+    typer.echo(f"patch        {patch.length * 1e3:.3g} x {patch.width * 1e3:.3g} mm, {facts['loads']} loads")
+    typer.echo(f"space        {facts['size']} directions from {facts['solves']} solves of {facts['unknowns']} unknowns")
+    off = ", ".join(f"{error:.1e} at {f:g} Hz" for f, error, _ in made.reduction.T)
+    typer.echo(f"reduction    {off}")
+    typer.echo(f"library: {file} ({file.stat().st_size / 1e6:.0f} MB, {facts['seconds']:.0f} s)")
+
+
+def _idle(overrides: Sequence[str]) -> list[str]:
+    """A note on keys that were set for a library and are asked of it later."""
+    given = [item.partition("=")[0].strip() for item in overrides]
+    idle = [k for k in given if k.startswith(_LATER) and k not in ("device.cone.radius", "device.cone.contact")]
+    return [f"{', '.join(idle)}: no effect on a library; give it to `run --library`"] if idle else []
+
+
+# verify and campaign: many solves for one table.
+
+
+def campaign(
+    file: Annotated[
+        Path, typer.Argument(help="campaign file: a scenario and a list, grid or draw of overrides",
+                             callback=there("no such campaign file")),
+    ],
+    out: Annotated[Path | None, typer.Option("--out", help="default results/NAME")] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="address of a running Dask scheduler, e.g. tcp://host:8786; default: this machine"),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="processes on this machine; default: what cores and memory allow")
+    ] = None,
+) -> None:  # fmt: skip
+    """Run many variants of a scenario; finished ones are skipped, failed ones do not stop the rest."""
+    from ..questions.campaign import load_campaign, run_campaign
+    from ..store.folder import locked
+
+    asked = load_campaign(file)
+    folder = out or Path("results") / asked.name
+    with locked(folder), Display() as display, noted():
+        result = run_campaign(asked, folder, scheduler=scheduler, workers=workers, progress=display)
+    typer.echo(result.table)
+    print_notes([f"{m.name}: {m.problem}" for m in result.members if m.problem])
+    typer.echo(f"campaign: {result.folder}")
+    if any(m.problem for m in result.members):
+        raise typer.Exit(1)
+
+
+def verify(
+    out: Annotated[Path, typer.Option("--out", help="folder that the table is written to")] = Path("results/verify"),
+) -> None:
+    """Check this installation against exact solutions; exit code 1 where a number misses its tolerance."""
+    from ..store.folder import locked, write_text
+    from ..verification import report, run_verification
+
+    with locked(out), Display() as display, noted():
+        rows = run_verification(display)
+        write_text(out / "verification.md", report.verification_page(rows))
+    typer.echo(report.verification_table(rows))
+    typer.echo(f"{report.count_met(rows)}\n{out / 'verification.md'}")
+    if not all(r.met for r in rows):
+        raise typer.Exit(1)

@@ -1,0 +1,167 @@
+"""figures, show and workbench: what a run looks like."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..errors import DataError
+from ..scenario import load_scenario, scenario_file
+from .common import Declared, Display, declaration, ends_in, noted, refuse_folder, scene_of, there
+
+# figures, show: a run made visible.
+
+Results = Annotated[
+    Path, typer.Argument(help="results folder of a run",
+                         callback=there("no such results folder; `forearm-fem run SCENARIO` makes one", folder=True)),
+]  # fmt: skip
+
+
+def film_name(film: Path | None) -> Path | None:
+    """A callback that refuses a film of another kind, or a folder, before the work."""
+    if film is not None and film.suffix.lower() not in (".gif", ".mp4"):
+        raise DataError(f"--film {film}: films end in .gif or .mp4")
+    refuse_folder(film)
+    return film
+
+
+def figures(
+    results: Results,
+    only: Annotated[list[str] | None, typer.Option(help="figure names; again for more, or separated by commas")] = None,
+    formats: Annotated[str, typer.Option("--format", help="any of png,pdf,svg")] = "png",
+    out: Annotated[Path | None, typer.Option("--out", help="default: figures inside the results folder")] = None,
+    width: Annotated[
+        int | None, typer.Option(help="of a journal, in mm: 88, one column (what it cannot hold is refused), or 181")
+    ] = None,
+    footer: Annotated[bool, typer.Option(help="the line on scene and version at the foot")] = True,
+    film: Annotated[
+        Path | None, typer.Option("--film", help="a film of the skin instead: .gif or .mp4", callback=film_name)
+    ] = None,
+    method: Annotated[str | None, typer.Option(help="of the film; default inverse filter")] = None,
+    target: Annotated[str | None, typer.Option(help="of the film; default 5, or the first")] = None,
+    view: Annotated[str, typer.Option(help="of the film: oblique, top, side or wrist")] = "oblique",
+    speed: Annotated[
+        float, typer.Option(help="of the film, as a share of real time: 0.006 shows 1 ms in 0.17 s", min=1e-5)
+    ] = 0.006,
+) -> None:
+    """Make the figures of a run, each with its numbers as CSV; or a film."""
+    if film is not None:
+        _filmed(results, film, method, target, view, speed)
+        return
+    names, kinds = [n for item in only for n in _split(item)] if only else None, _split(formats)
+    for option, given, read in (("--only", only, names), ("--format", formats, kinds)):
+        if given and not read:
+            raise DataError(f"{option}: expected names between the commas, got none; leave it out for its default")
+    from ..show import make_figures
+    from ..store.folder import locked
+
+    with locked(out or results), Display() as display, noted():
+        written = make_figures(
+            results, out, only=names, formats=kinds,
+            progress=display, width=width, footer=footer,
+        )  # fmt: skip
+    for file in written:
+        typer.echo(str(file))
+
+
+def _filmed(results: Path, film: Path, method: str | None, target: str | None, view: str, speed: float) -> None:
+    """A film of the skin: of a method and target, from a camera, at a share of real time."""
+    from ..show.data import Results as Folder
+    from ..show.film import Look, animate, default_view, frames_at
+
+    found = Folder.open(results)
+    first = default_view(found)
+    asked = replace(first, method=method or first.method, target=target or first.target)
+    with Display() as display, noted():
+        animate(found, film, view=asked, look=Look(camera=view), frames_per_second=frames_at(speed), progress=display)
+    typer.echo(str(film))
+
+
+def show(
+    what: Annotated[Path, typer.Argument(help="results folder, or a scenario whose results lie in results/NAME")],
+    save: Annotated[
+        Path | None, typer.Option("--save", help="instead of a window: .png, .gif, .mp4, or .html, the workbench")
+    ] = None,
+) -> None:
+    """Walk around the moving limb in a window, or keep a picture, film or page of it."""
+    folder = _results_of(what)
+    with noted():
+        if save is None:
+            from ..show.interact import interact
+
+            interact(folder)
+            return
+        _saved(folder, save)
+    typer.echo(str(save))
+
+
+def _results_of(what: Path) -> Path:
+    if what.is_dir():
+        return what
+    if what.is_file() and what.suffix != ".toml":
+        raise DataError(f"{what}: has no solved field to walk around in; `forearm-fem workbench {what}` shows its G")
+    folder = Path("results") / load_scenario(what).name
+    if not folder.is_dir():
+        raise DataError(f"{folder}: no results of {what} yet; `forearm-fem run {what}` makes them")
+    return folder
+
+
+def _saved(folder: Path, save: Path) -> None:
+    refuse_folder(save)
+    kind = save.suffix.lower()
+    if kind == ".png":
+        from ..show.film import render_still
+
+        render_still(folder, save)
+    elif kind in (".gif", ".mp4"):
+        from ..show.film import animate
+
+        with Display() as display:
+            animate(folder, save, progress=display)
+    elif kind == ".html":
+        from ..show.workbench import write_workbench
+
+        write_workbench(folder, save)
+    else:
+        raise DataError(f"{save}: choose a name that ends in .png, .gif, .mp4 or .html")
+
+
+def _split(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+# workbench: a run as a page in which its model goes on working.
+
+
+def workbench(
+    what: Annotated[
+        Path,
+        typer.Argument(help="results folder of a run, NAME.library.nc of an arm, or a measured G: a file or a "
+                       "calibration's folder",
+                       callback=there("no such results folder or file; `forearm-fem run SCENARIO` makes a folder")),
+    ],
+    save: Annotated[
+        Path | None,
+        typer.Option("--save", help="the page; default workbench.html in the folder, NAME.html beside a file",
+                     callback=ends_in(".html")),
+    ] = None,
+    scenario: Annotated[
+        Path | None,
+        typer.Option(help="of a measured G, for its record, wavelet and limits; or a device on a library's arm"),
+    ] = None,
+    declare: Declared = None,
+) -> None:  # fmt: skip
+    """Write one HTML page in which the waves move and everything can be tried: no server, no network."""
+    asked = scene_of(scenario)
+    from ..show.workbench.bundle import page_beside, write_workbench
+
+    page = save or (what / "workbench.html" if what.is_dir() else page_beside(what))
+    with noted(), Display() as display:
+        write_workbench(
+            what, page, scenario=asked, declaration=declaration(declare), progress=display,
+            base=scenario_file(scenario).parent if scenario else Path(),
+        )  # fmt: skip
+    typer.echo(f"{page}: {page.stat().st_size / 1e6:.1f} MB, opens in any browser")

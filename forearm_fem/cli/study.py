@@ -1,0 +1,351 @@
+"""study new, run, stimuli, status, analyse, power, withdraw: the half of the thesis that is about people."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from ..errors import DataError, ScenarioError
+from .common import Declared, declaration, holds_g, measured_g, noted, print_notes, there
+
+app = typer.Typer(no_args_is_help=True, help="Studies with people, from the stimulus to the statistics.")
+
+StudyFile = Annotated[
+    Path, typer.Argument(help="study file; `forearm-fem study new` writes one",
+                         callback=there("no such study file; `forearm-fem study new NAME` writes one")),
+]  # fmt: skip
+
+
+def _pseudonym(name: str) -> str:
+    if not (name.isascii() and name.isalnum() and len(name) <= 32):
+        raise ScenarioError(f"--participant '{name[:40]}': expected letters and digits only, e.g. 01")
+    return name
+
+
+Participant = Annotated[str, typer.Option(help="pseudonym: letters and digits, e.g. 01", callback=_pseudonym)]
+_COUNTS = (4, 6, 8, 10, 14, 20, 28, 40, 60)  # participants for whom power is told
+_DATA = "folder of the answers; default beside the file"
+Data = Annotated[Path | None, typer.Option("--data", help=_DATA)]
+Answers = Annotated[
+    Path | None, typer.Option("--data", help=_DATA, callback=there("no such folder of answers", folder=True)),
+]  # fmt: skip
+
+_TEMPLATE = """# A study: every key is optional but name and scenario. `forearm-fem study run {name}.toml` runs it.
+name = "{name}"
+scenario = {scenario}                                # device, wavelet, limits
+transfer = "calibration/{{participant}}/transfer.nc"     # each participant's calibrated G
+participants = 20
+language = "en"                                         # en, de, nl, or a TOML file of texts
+# consent = "consent.txt"                               # a text to be agreed to on the page; else --consent DATE
+
+[stimuli]
+methods = ["inverse filter", "funneling", "combination"]
+targets = ["1", "2", "3", "4", "5", "6", "7", "8", "9"]
+levels = "equal at target"                              # or "as rendered", a table of dB, or a CSV of a matching task
+# peak = 1.0                                            # of equal levels: of the wavelet at the target [um]
+
+[order]
+seed = 0
+methods = "mixed"                                       # or "one after the other"
+tasks = "fixed"                                         # or "balanced"
+no_target_twice = true
+
+[analysis]                                              # fixed once the first participant is enrolled
+correction = "holm"                                     # or "bonferroni"
+sphericity = "Greenhouse-Geisser"                       # or "Huynh-Feldt"
+alpha = 0.05
+
+[[tasks]]                                               # study 1 of de Vlam 2022: 3 methods x 9 targets x 3 = 81 trials
+name = "identification"
+answer = "one point"
+repetitions = 3
+blocks = 3
+training = 1
+
+[[tasks]]                                               # study 2: as many points as are felt
+name = "confidence"
+answer = "several points"
+repetitions = 3
+blocks = 3
+training = 1
+"""
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(help="letters, digits and hyphens")],
+    scenario: Annotated[
+        str, typer.Option(help="of the device: a file seen from the study file, or the name of a shipped one")
+    ] = "thesis",
+    folder: Annotated[Path, typer.Option(help="where the file goes")] = Path(),
+    transfer: Annotated[
+        Path | None, typer.Option(help="a G, to say how strong methods will be by it", callback=holds_g)
+    ] = None,
+    declare: Declared = None,
+) -> None:
+    """Write a commented study file: the thesis' two studies, to be changed."""
+    from ..scenario import load_scenario, scenario_beside
+    from ..store.folder import write_text
+    from ..study.plan import Study
+
+    Study(name=name, scenario=scenario)  # before anything is written
+    file = folder / f"{name}.toml"
+    if file.exists():
+        raise ScenarioError(f"{file} exists already; take another name or remove it")
+    asked = load_scenario(scenario_beside(folder, scenario))
+    g = measured_g(transfer, asked, declare, "--transfer")
+    write_text(file, _TEMPLATE.format(name=name, scenario=json.dumps(scenario, ensure_ascii=False)))
+    typer.echo(str(file))
+    if g is None:
+        typer.echo("levels: equal at target; --transfer G says by how much methods differ as rendered")
+        return
+    from ..study.levels import told
+    from ..study.run import Prepared
+    from ..study.stimuli import stimuli_for
+
+    made = Prepared.of(file)
+    with noted():
+        for levels in ("as rendered", "equal at target"):
+            how = made.study.stimuli.model_copy(update={"levels": levels})
+            found = {k: s.moved for k, s in stimuli_for(g, made.scenario, how, made.wavelet).items()}
+            typer.echo(f"{levels}: {told(found)}")
+
+
+@app.command()
+def run(
+    file: StudyFile,
+    participant: Participant,
+    task: Annotated[str | None, typer.Option(help="of the study; default: the participant's next one")] = None,
+    consent: Annotated[
+        str, typer.Option(help="date on which consent was signed on paper; needed once, unless the study has a text")
+    ] = "",
+    age: Annotated[float | None, typer.Option(min=0, max=150, help="in years, for participants.tsv")] = None,
+    sex: Annotated[Literal["F", "M", "O", ""], typer.Option(help="F, M or O, for participants.tsv")] = "",
+    daq: Annotated[Literal["virtual", "ni", "sound"], typer.Option(help="virtual, ni or sound")] = "virtual",
+    card: Annotated[str | None, typer.Option("--card", help="sound: name or number of the card")] = None,
+    cable: Annotated[
+        Path | None,
+        typer.Option("--loopback", help="record of `forearm-fem daq loopback`, kept with the answers",
+                     callback=there("no such file; `forearm-fem daq loopback SCENARIO` makes one")),
+    ] = None,
+    declare: Declared = None,
+    data: Data = None,
+    host: Annotated[
+        str, typer.Option(help="address to serve the page on; other machines can reach 0.0.0.0")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0: a free one")] = 0,
+) -> None:  # fmt: skip
+    """Run a participant's session; the same command goes on where it stopped."""
+    from ..measurement.playback import read_loopback
+    from ..study.levels import AUDIBLE, apart, told
+    from ..study.run import Prepared, require_study_extra, sitting
+    from ..study.server import serve, texts
+
+    require_study_extra()
+    prepared = Prepared.of(file, data)
+    kept = None if cable is None else read_loopback(cable)
+    held = sitting(
+        prepared, participant, task, consent=consent, age=age, sex=sex, daq=daq, card=card, cable=kept,
+        declaration=declaration(declare),
+    )  # fmt: skip
+
+    def announce(theirs: str, ours: str) -> None:
+        """Tell the addresses of the two pages."""
+        typer.echo(f"participant:  {theirs}\nexperimenter: {ours}\nCtrl-C stops; the same command goes on.")
+
+    with held as (session, made):
+        if session.back_end.latency_basis == "unknown":
+            print_notes(
+                ["the device's latency was not measured and is kept as unknown; `forearm-fem daq loopback` measures it"]
+            )
+        motions = {k: s.moved for k, s in made.stimuli.items()}
+        (print_notes if max(apart(motions).values()) > AUDIBLE else _echoed)([told(motions)])
+        if host not in ("127.0.0.1", "localhost"):
+            print_notes([f"--host {host}: whoever reaches this machine's port and knows an address below can take part "
+                         "or lead; nothing is encrypted. Give each address only to whom it is for"])  # fmt: skip
+        typer.echo(f"task: {session.task.name}")
+        serve(
+            session, made.transfer.outputs, texts(prepared.study.language, prepared.base), beep=prepared.study.beep,
+            levels=told(motions), host=host, port=port, announce=announce,
+        )  # fmt: skip
+        view = session.view()
+    typer.echo(f"{view['answered']} of {view['total']} answered; data: {prepared.folder}")
+
+
+def _echoed(lines: list[str]) -> None:
+    typer.echo("\n".join(lines))
+
+
+@app.command()
+def stimuli(
+    file: StudyFile,
+    participant: Participant,
+    rate: Annotated[float, typer.Option(min=1000, max=768_000, help="of the sound card in Hz")] = 48_000.0,
+    full_scale: Annotated[
+        float | None, typer.Option(min=1e-3, max=1e3, help="peak of the output at digital 1 in V; default: "
+                                   "measurement.daq.output_range"),
+    ] = None,
+    declare: Declared = None,
+    data: Data = None,
+) -> None:  # fmt: skip
+    """Write a participant's stimuli as WAV and the trials as CSV, for PsychoPy, jsPsych or another player."""
+    from ..study.export import export
+    from ..study.levels import told
+    from ..study.run import Prepared
+
+    prepared = Prepared.of(file, data)
+    with noted():
+        made = prepared.made(participant, declaration(declare))
+        volts = full_scale or prepared.scenario.measurement.daq.output_range
+        folder = export(prepared, participant, made, rate=rate, full_scale=volts)
+    typer.echo(f"{told({k: s.moved for k, s in made.stimuli.items()})}\ndigital 1 is {volts:g} V\n{folder}")
+
+
+@app.command()
+def status(file: StudyFile, data: Answers = None) -> None:
+    """Who has answered how much."""
+    from ..study.run import Prepared, statuses
+
+    store = Prepared.of(file, data).store()
+    if not store.people():
+        typer.echo("nobody is enrolled yet")
+    for participant, task, answered, total in statuses(store):
+        typer.echo(f"{participant}  {task}: {answered} of {total}")
+    for gone in (p for p in store.people() if p["status"] == "withdrawn"):
+        typer.echo(f"{gone['participant_id'].removeprefix('sub-')}  withdrawn")
+
+
+@app.command()
+def analyse(
+    file: StudyFile,
+    data: Answers = None,
+    answers: Annotated[
+        list[Path] | None,
+        typer.Option("--answers", help="of PsychoPy (CSV) or jsPsych (JSON, CSV) to exported trials: a file or folder, "
+                     "repeatable; in place of our own sessions'"),
+    ] = None,
+) -> None:  # fmt: skip
+    """Errors, ellipses, confusion, confidence and statistics by the study's plan: a page, CSVs and R scripts."""
+    from ..study.answers import read_answers
+    from ..study.report import write_analysis
+    from ..study.run import Prepared, answers_of, require_study_extra
+
+    require_study_extra()
+    prepared = Prepared.of(file, data)
+    grid, store = prepared.grid(), prepared.store()
+    for each in answers or ():
+        there("no such file or folder of answers")(each)
+    found = read_answers(answers, store, grid) if answers else {}
+    for task in prepared.study.tasks if not answers else ():
+        try:
+            found[task.name] = answers_of(store, task.name)
+        except DataError as problem:
+            print_notes([str(problem)])
+    if not found:
+        raise DataError(f"{prepared.folder}: there are no answers to analyse")
+    with noted():
+        page = write_analysis(
+            prepared.study, found, grid, prepared.folder, devices=None if answers else store.devices()
+        )
+    typer.echo(str(page))
+
+
+@app.command()
+def power(
+    file: StudyFile,
+    pilot: Annotated[
+        Path | None, typer.Option(help="folder of answers to take effect and scatter from",
+                                  callback=there("no such folder of answers", folder=True)),
+    ] = None,
+    answers: Annotated[
+        list[Path] | None, typer.Option("--answers", help="a pilot's answers by PsychoPy or jsPsych, as for analyse")
+    ] = None,
+    task: Annotated[str | None, typer.Option(help="of the study; default: its first")] = None,
+    measure: Annotated[
+        Literal["error", "precision", "points", "response_area"] | None,
+        typer.Option(help="default: the task's own: points where several are chosen, the area where one is drawn"),
+    ] = None,
+    effect: Annotated[
+        Literal["location", "method", "location x method", "pair"],
+        typer.Option("--effect", help="to be found: location, method, 'location x method' or a pair of methods"),
+    ] = "method",
+    least: Annotated[
+        float | None,
+        typer.Option(help="the least difference that matters, in the measure's unit (m for error and precision)"),
+    ] = None,
+    scatter: Annotated[
+        float | None, typer.Option(help="without a pilot: standard deviation over participants of a difference")
+    ] = None,
+) -> None:  # fmt: skip
+    """How many participants find the effect of a pilot, or the least that matters, and how sure that is."""
+    from ..show.style import SHEET
+    from ..store.folder import atomic_path
+    from ..study import power as planned
+    from ..study.analysis import cells, with_errors
+    from ..study.answers import read_answers
+    from ..study.figures import plot_power
+    from ..study.run import Prepared, answers_of, require_study_extra
+
+    require_study_extra()
+    prepared = Prepared.of(file, pilot)
+    study = prepared.study
+    asked = study.task(task) if task else study.tasks[0]
+    what, methods = measure or asked.measures[0], len(study.stimuli.methods)
+    if sum((pilot is not None, bool(answers), scatter is not None)) != 1 or (scatter is not None and least is None):
+        raise DataError("expected --pilot FOLDER or --answers FILE, with or without --least; or --least and --scatter")
+    for name, value in (("--least", least), ("--scatter", scatter)):
+        if value is not None and not 0 < value < float("inf"):
+            raise DataError(f"{name}: expected a positive number, got {value:g}")
+    if what not in asked.measures:
+        raise DataError(f"--measure {what}: task {asked.name} gives {', '.join(asked.measures)}")
+    if least is not None and scatter is not None:
+        size, source = planned.size_of_scatter(least, scatter, methods, effect), "stated"
+    else:
+        for each in answers or ():
+            there("no such file or folder of answers")(each)
+        store, grid = prepared.store(), prepared.grid()
+        table = read_answers(answers, store, grid).get(asked.name) if answers else answers_of(store, asked.name)
+        if table is None:
+            raise DataError(f"--answers: none of them is to task {asked.name}")
+        values, *_ = cells(with_errors(table, grid), what)
+        if least is None:
+            size, source = planned.size_of_pilot(values, effect), "the pilot's effect"
+        else:
+            size, source = planned.size_of_least(values, effect, least), f"{least:g} over the pilot's scatter"
+    family = methods * (methods - 1) // 2 if effect == "pair" else 1
+    curve = planned.power_curve(size, _COUNTS, alpha=study.analysis.alpha, family=family)
+    typer.echo(f"{asked.name}, {what}, {effect}: {source}")
+    for p in curve:
+        between = f" ({p.low:.0%} to {p.high:.0%})" if size.low < size.high else ""
+        typer.echo(f"{p.participants:3d} participants: {p.share:.0%}{between}".replace("%", " %"))
+    if size.low == 0:
+        print_notes(["the pilot does not tell this effect from none; state the least that matters with --least"])
+    enough = planned.needed(curve)
+    typer.echo("80 % is not reached" if enough is None else f"80 % from {enough} participants on")
+    if pilot is not None:
+        from matplotlib import style
+
+        with atomic_path(pilot / "power.png") as target, style.context(SHEET):
+            plot_power(curve).savefig(target, dpi=130)
+        typer.echo(str(pilot / "power.png"))
+
+
+@app.command()
+def withdraw(
+    file: StudyFile,
+    participant: Participant,
+    data: Answers = None,
+    yes: Annotated[bool, typer.Option("--yes", help="do not ask")] = False,
+) -> None:
+    """Delete a participant's answers for good."""
+    from ..study.run import Prepared
+
+    store = Prepared.of(file, data).store()
+    if not yes and not typer.confirm(f"delete all answers of {participant}?"):
+        raise typer.Abort()
+    with store.sitting(participant):
+        store.withdraw(participant)
+    typer.echo(f"sub-{participant}: answers deleted, and any analysis that held them; `study analyse` makes it anew")

@@ -1,0 +1,1 @@
+"""Prediction of S for people: draws of arms, devices and measurements."""

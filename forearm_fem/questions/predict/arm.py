@@ -1,0 +1,334 @@
+"""Models of arms: what answers a draw with the compliance between its ports."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from ...accuracy.estimates import quadrature_estimate
+from ...engines.arm_meshes import ArmMeshes, arm_meshes
+from ...engines.engine import Engine
+from ...engines.layered import LayeredEngine, flat_disc, flat_layers, flat_ports, flat_surface
+from ...engines.parametric import ParametricModel, parametric_model, reciprocal
+from ...errors import ForearmError, ScenarioError
+from ...fem.reduction.poles import chebyshev_frequencies
+from ...layered import layered_compliance
+from ...metrics import smooth_noise
+from ...progress import Progress, within
+from ...scenario import Scenario
+from ...transfer import Compliance, ErrorEstimate
+from ...typing import ComplexArray, FloatArray
+from ...usercode import is_code
+
+_TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)  # a third of the time of the twin's own; what it costs is stated per draw
+_OF_CHANGE = (1e-2, 3)  # tolerance and terms for what geometry changes: 5e-5 of it apart, in two thirds of the time
+_ALONE, _FAR, _SCATTERED = (1,), 0.5, 0.06  # orders of a change, up to which nearness, and what they leave out of it
+_ENOUGH = 0.1  # e(f): where fewer orders say more (a point near a cone, little loss), more are taken
+_ASKED = 33  # frequencies asked of the twin for what geometry changes: polynomials through 49 leave .02 of it at most
+_FITTED = 1e-4  # of the largest entry: what a rational function of it may miss at those that it does not pass through
+_BETWEEN = 2  # times as much it may miss elsewhere: at single frequencies twice this was seen, over the band half
+_OTHERS = 6  # answers as wrong as geometry may make one
+_SMOOTH = 50.0  # Hz over which what geometry misses is alike, as for other errors of S (docs/decisions/0027)
+_MISSED = 0.5  # of the change by geometry that the twin may be wrong by (docs/decisions/0042)
+_GEOMETRY = ("thickness", "placement", "contact area")
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a model says of a draw: its ``compliance``, and ``others`` that it may be as well by the errors ``shown``
+    (their sources), whose shape over pairs of ports is known; all other errors are taken for noise."""
+
+    compliance: Compliance
+    others: tuple[Compliance, ...] = ()
+    shown: frozenset[str] = frozenset()
+
+
+class ArmModel(Engine, Protocol):
+    """An engine for draws of an arm; a draw is a :class:`Scenario` (:func:`.draws.scenario_of`)."""
+
+    @property
+    def held(self) -> frozenset[str]:
+        """Inputs of the priors that the model cannot follow: they stay the scenario's."""
+        ...
+
+    @property
+    def left_out(self) -> str:
+        """What of an arm the model has not, in a sentence."""
+        ...
+
+    @property
+    def unknown(self) -> str:
+        """What of an answer's error could not be estimated and is in no band, in a sentence; empty where nothing."""
+        ...
+
+    def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
+        """The same with what it may be as well."""
+        ...
+
+
+@dataclass(frozen=True)
+class LayeredArm:
+    """The semi-analytic twin with fewer terms: 981 bins in about half a second, with a true error of G below 1 %.
+
+    Azimuthal ``orders`` are taken in turn until their error is small; of a single one it is not in the errors what it
+    leaves out.
+    """
+
+    solved: bool = False  # whether the scene itself is solved by finite elements
+    tolerance: float = _TOLERANCE
+    terms: int = _TERMS
+    orders: tuple[int, ...] = _ORDERS
+
+    @property
+    def name(self) -> str:
+        """See :class:`ArmModel`."""
+        return "layered twin"
+
+    def holds(self, scenario: Scenario) -> str:
+        """See :class:`.Engine`: as the layered model."""
+        return LayeredEngine().holds(scenario)
+
+    @property
+    def held(self) -> frozenset[str]:
+        """See :class:`ArmModel`: nothing."""
+        return frozenset()
+
+    @property
+    def left_out(self) -> str:
+        """See :class:`ArmModel`."""
+        beside = "; the scene itself is solved by finite elements, so that it may lie beside its own arms"
+        return (
+            "the arms are flat layers without end: girth, taper, bones and the device's place on the limb are not in "
+            f"the band{beside if self.solved else ''}"
+        )
+
+    @property
+    def unknown(self) -> str:
+        """See :class:`ArmModel`: nothing."""
+        return ""
+
+    def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
+        """See :class:`ArmModel`."""
+        scenario = without_bones(scenario)
+        ports = flat_ports(scenario)
+        discs = [flat_disc(port) for port in ports]
+        for orders in self.orders:
+            found = layered_compliance(
+                flat_layers(scenario), 2 * np.pi * frequency, discs, discs, surface=flat_surface(scenario.tissues),
+                tolerance=self.tolerance, terms=self.terms, orders=orders,
+            )  # fmt: skip
+            error = found.quadrature + found.interpolation
+            error = np.asarray(error if self.orders == _ALONE else error + found.truncation)
+            if error.max() <= _ENOUGH:
+                break
+        estimate = quadrature_estimate(
+            frequency, error,
+            "the twin's own control, with fewer terms than it takes for a scene",
+        )  # fmt: skip
+        return Compliance(frequency, found.values, ports, (estimate,))
+
+    def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
+        """See :class:`ArmModel`: its errors are noise."""
+        return Answer(self.compliance(scenario, frequency))
+
+
+def without_bones(scenario: Scenario) -> Scenario:
+    """The same without bones, which the twin has not: thick fat need not fit around them."""
+    if not getattr(scenario.limb, "bones", ()):
+        return scenario
+    return scenario.changed({"limb.bones": ()})
+
+
+@dataclass(frozen=True)
+class ReducedArm:
+    """The scene's own finite elements for any tissue and tension (:mod:`forearm_fem.engines.parametric`).
+
+    A mesh has one geometry, but its skin can be read anywhere: a draw's grid is read where it lies, if that is within
+    millimetres of the scene's. What thicknesses and contact radius change, or a grid further away, is the difference of
+    two answers of the twin for the draw's tissues, and stated to be wrong by up to half of itself. A scene with tape on
+    the skin, which the twin has not, holds all of these. ``meshes`` tell what the elements err by for each draw; where
+    there are none, ``without`` says why.
+    """
+
+    scenario: Scenario
+    model: ParametricModel
+    twin: LayeredArm
+    meshes: ArmMeshes | None = None
+    without: str = ""
+
+    @property
+    def name(self) -> str:
+        """See :class:`ArmModel`."""
+        return "parametric finite elements, geometry by the twin"
+
+    def holds(self, scenario: Scenario) -> str:
+        """See :class:`.Engine`: what the reduced terms can follow, on the mesh of its scene."""
+        return self.model.holds(on_mesh_of(self.scenario, scenario))
+
+    @property
+    def held(self) -> frozenset[str]:
+        """See :class:`ArmModel`: nothing, or all geometry where the twin cannot say what it changes."""
+        return frozenset(_GEOMETRY if self.scenario.tissues.patch.is_on else ())
+
+    @property
+    def left_out(self) -> str:
+        """See :class:`ArmModel`."""
+        still = self.model.around is None
+        by_twin = "thickness, contact area and the grid's place" if still else "thickness and contact area"
+        geometry = (
+            "thickness, contact area and the grid's place keep the scene's values, for there is tape on its skin"
+            if self.held
+            else f"what {by_twin} change is that of flat layers without end"
+        )
+        return f"girth, taper, bones and the device's place on the limb are the scene's own in every arm; {geometry}"
+
+    @property
+    def unknown(self) -> str:
+        """See :class:`ArmModel`: the mesh's error where there is no second mesh."""
+        return f"what the mesh errs by for each arm is unknown ({self.without})" if self.meshes is None else ""
+
+    def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
+        """See :class:`ArmModel`; the mesh's and the geometry's share of the error are estimates of their own."""
+        return self.answer(scenario, frequency).compliance
+
+    def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
+        """See :class:`ArmModel`: each error may be missed by its size at each pair of ports, alike at all of them or in
+        any phase at each."""
+        own = on_mesh_of(self.scenario, scenario)  # but with its own grid where both meshes can read it
+        laid = own.changed({"grid": scenario.grid})
+        models = [self.model] if self.meshes is None else [self.model, self.meshes.second]
+        own = laid if all(m.follows(laid) for m in models) else own
+        found, missed = self.model.answer(own, frequency)
+        off: list[ComplexArray | FloatArray] = [missed.of(found)]
+        if self.meshes is not None:
+            estimate, missed = self.meshes.missed(own, found)
+            found = replace(found, errors=(*found.errors, estimate))
+            off.append(missed.of(found))
+        if own != scenario:
+            found, *geometry = self._changed(found, scenario, own)
+            off += geometry
+        return Answer(found, as_wrong(found, off), frozenset(e.source for e in found.errors))
+
+    def _changed(self, found: Compliance, scenario: Scenario, own: Scenario) -> tuple[Compliance, Any, FloatArray]:
+        """The answer with what geometry changes between two draws, what of that change may be wrong, and the twin's
+        errors in it (both (n, n_port, n_port) [m/N])."""
+        frequency = found.frequency
+        change, error = self._change(scenario, own, frequency)
+        block = np.ix_(range(len(frequency)), found.indices("point"), found.indices("contact"))
+        size, whole = np.abs(found.values[block]).max(axis=(1, 2)), np.linalg.norm(found.values[block])
+        missed = (_MISSED * np.abs(change[block]).max(axis=(1, 2)) + error[block].max(axis=(1, 2))) / size
+        band = (_MISSED * np.linalg.norm(change[block]) + np.linalg.norm(error[block])) / whole
+        laid = " and the grid's place" if own.grid != scenario.grid else ""
+        estimate = ErrorEstimate(
+            "interpolation", float(band),
+            f"{_MISSED:g} of what the draw's thickness, contact area{laid} change on the twin, and the twin's errors",
+            tuple(frequency.tolist()), tuple(missed.tolist()),
+        )  # fmt: skip
+        changed = replace(found, values=found.values + change, errors=(*found.errors, estimate))
+        return changed, _MISSED * change, error
+
+    def _change(self, scenario: Scenario, own: Scenario, frequency: FloatArray) -> tuple[ComplexArray, FloatArray]:
+        """What the draw's geometry changes on the twin, and the twin's errors in it, both (n, n_port, n_port) [m/N].
+
+        The twin states errors over the largest entry of their kind: of contacts, or of points under contacts. Where
+        discs are far apart, one azimuthal order says what changes to some hundredths of it, which are stated.
+        """
+        far = 0 < max(_nearness(s) for s in (scenario, own)) <= _FAR
+        twin = replace(self.twin, orders=_ALONE) if far else self.twin
+        few = len(frequency) <= _ASKED
+        nodes = frequency if few else chebyshev_frequencies(frequency, _ASKED)
+        answers = [twin.compliance(s, nodes) for s in (scenario, own)]
+        values = [np.nan_to_num(a.values) for a in answers]  # a point on itself stays unknown in the sum
+        change = values[0] - values[1]
+        points, contacts = answers[0].indices("point"), answers[0].indices("contact")
+        at_nodes, between = change, change
+        if not few:
+            fit = reciprocal(nodes, change, [p.kind == "contact" for p in answers[0].ports], _FITTED)
+            at_nodes, between = fit(nodes), fit(frequency)
+        error = np.zeros(between.shape)
+        for pair in ((points, contacts), (contacts, points), (contacts, contacts)):
+            kind: Any = (slice(None), *np.ix_(*pair))
+            sizes = [np.abs(v[kind]).max(axis=(1, 2)) for v in values]
+            off = sum(size * np.array(a.errors[0].per_frequency) for size, a in zip(sizes, answers, strict=True))
+            left, largest = (np.abs(v[kind]).max(axis=(1, 2)) for v in (at_nodes - change, change))
+            left = np.divide(left, largest, out=np.zeros_like(left), where=largest > 0)
+            size = np.abs(between[kind]).max(axis=(1, 2))
+            share = _BETWEEN * left.max() + (_SCATTERED if far else 0.0)
+            error[kind] = (np.interp(frequency, nodes, off) + share * size)[:, None, None]
+        return between, error
+
+
+def _nearness(scenario: Scenario) -> float:
+    """Largest ratio of a rigid disc's radius to its distance from another disc or point, 0 without any."""
+    discs = [flat_disc(port) for port in flat_ports(without_bones(scenario))]
+    apart = [(a.radius, math.hypot(a.x - b.x, a.y - b.y)) for a in discs if a.rigid for b in discs if a is not b]
+    return max((radius / distance if distance > 0 else math.inf for radius, distance in apart), default=0.0)
+
+
+def as_wrong(found: Compliance, off: Sequence[ComplexArray | FloatArray]) -> tuple[Compliance, ...]:
+    """Answers as wrong as each error of ``off`` (n, n_port, n_port) [m/N] may make them, in any phase: every other one
+    alike at all pairs of ports, as where the same waves decay too much everywhere, the rest at each pair by chance.
+
+    What the same share of all pairs does to S does not average out over pairs (docs/decisions/0042).
+    """
+    size = np.abs(found.values)
+    phase = np.divide(found.values, size, out=np.ones_like(found.values), where=size > 0)
+    shapes = [each if np.iscomplexobj(each) else each * phase for each in off]
+    parts = _parts(tuple(found.frequency.tolist()), len(found.ports), len(shapes))
+    moved = [sum(each * part for each, part in zip(shapes, of_each, strict=True)) for of_each in parts]
+    return tuple(replace(found, values=found.values + m, errors=()) for m in moved)
+
+
+@lru_cache(maxsize=1)  # draws of a scene have the same frequencies and ports
+def _parts(frequency: tuple[float, ...], ports: int, errors: int) -> tuple[tuple[ComplexArray, ...], ...]:
+    """Shares (n, n_port, n_port) of so many ``errors``, 1 at most, that each of the other answers is off by: smooth,
+    reciprocal, and alike at all pairs of ports in every other one. In single precision: they are random."""
+    rng, found = np.random.default_rng(0), list[tuple[ComplexArray, ...]]()
+    for n in (1 if k % 2 == 0 else ports for k in range(_OTHERS)):
+        parts = list[ComplexArray]()
+        for _ in range(errors):
+            noise = smooth_noise(np.array(frequency), (n, n), rng, _SMOOTH)
+            noise = noise + noise.swapaxes(1, 2)
+            parts.append((noise / np.abs(noise).max(axis=(1, 2), keepdims=True)).astype(np.complex64))
+        found.append(tuple(parts))
+    return tuple(found)
+
+
+def on_mesh_of(scene: Scenario, draw: Scenario) -> Scenario:
+    """The ``draw`` with the geometry that the mesh of the ``scene`` has."""
+    return draw.changed({"limb": scene.limb, "grid": scene.grid, "device.cone.radius": scene.device.cone.radius})
+
+
+def arm_model(
+    scenario: Scenario,
+    *,
+    base: str | Path = ".",
+    draws: Sequence[Scenario] = (),
+    twin: bool = False,
+    progress: Progress | None = None,
+) -> ArmModel:
+    """The model that answers draws of ``scenario``, whose user files lie in ``base``.
+
+    Finite elements for a scene of finite elements, made from ``draws`` like those that will be asked and kept in the
+    cache; the layered twin for the others, and where ``twin`` asks for it. Raises what solving the scenario raises.
+    """
+    if is_code(scenario.engine) and not twin:
+        raise ScenarioError(
+            "engine: arms are drawn on finite elements or on the layered model, not on an engine of your own; set "
+            "engine = 'layered'"
+        )
+    if scenario.engine == "layered" or twin:
+        return LayeredArm(scenario.engine == "fem")
+    known = [on_mesh_of(scenario, d) for d in draws]
+    model = parametric_model(scenario, base=base, draws=known or None, progress=progress)
+    try:
+        meshes, without = arm_meshes(scenario, base, known or None, within(progress, "coarser mesh")), ""
+    except ForearmError as problem:
+        meshes, without = None, str(problem)
+    return ReducedArm(scenario, model, LayeredArm(True, *_OF_CHANGE), meshes, without)

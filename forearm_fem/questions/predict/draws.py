@@ -1,0 +1,309 @@
+"""Priors of arms, devices and measurements, and draws from them."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+import zlib
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from scipy.special import expit, logit, ndtr
+
+from ...errors import ScenarioError
+from ...geometry.device.layout import turned
+from ...scenario import Scenario, parse_scenario
+from ...scenario.device import VoltageDevice
+from ...scenario.limb import limb_tissues
+from ...tissue import resolve_tissues
+from ...typing import FloatArray
+
+# What is uncertain about an arm, a device on it and a measurement: named inputs with their laws and sources.
+
+Kind = Literal["log-normal", "normal", "uniform", "log-uniform", "logistic", "choice"]
+Known = Literal["seen", "derived", "judgement", "second-hand"]
+SHARED = ("skin tension", "skin thickness", "fat thickness")  # what the joint fit moves beside the tissues of a law
+
+
+@dataclass(frozen=True)
+class Prior:
+    """The law of one input, its unit (SI unless it says otherwise), its ``source`` and how that is ``known``.
+
+    A standard-normal z gives centre * spread^z (log-normal), centre + spread z (normal), low to high evenly, or evenly
+    in the logarithm, by its quantile (uniform, log-uniform), a share whose logit is normal with deviation ``spread``
+    (logistic), or one of ``choices``, all equally likely. With ``each`` there is one such input for each actuator,
+    their normals correlated by that much.
+    """
+
+    name: str
+    kind: Kind
+    source: str
+    known: Known
+    group: str = "tissue"
+    unit: str = ""
+    centre: float = 0.0
+    spread: float = 1.0
+    low: float = 0.0
+    high: float = 1.0
+    choices: tuple[str, ...] = ()
+    each: float | None = None
+
+    def value(self, z: float) -> float:
+        """The input at the standard-normal deviate ``z``; of a choice its index."""
+        match self.kind:
+            case "log-normal":
+                return float(self.centre * self.spread**z)
+            case "normal":
+                return float(self.centre + self.spread * z)
+            case "uniform":
+                return float(self.low + (self.high - self.low) * ndtr(z))
+            case "log-uniform":
+                return float(self.low * (self.high / self.low) ** ndtr(z))
+            case "logistic":
+                return float(expit(logit(self.centre) + self.spread * z))
+            case _:
+                return float(min(int(len(self.choices) * ndtr(z)), len(self.choices) - 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """Standard normals of ``names`` as measurements leave them: ``mean`` (n,) and ``covariance`` (n, n)."""
+
+    names: tuple[str, ...]
+    mean: FloatArray
+    covariance: FloatArray
+
+    @property
+    def root(self) -> FloatArray:
+        """Lower triangle L (n, n) with covariance = L L^T."""
+        return np.asarray(np.linalg.cholesky(self.covariance))
+
+
+@dataclass(frozen=True, eq=False)
+class Priors:
+    """Inputs of every arm, tissue inputs per law, and the ``joint`` fit per law."""
+
+    inputs: Mapping[str, Prior]
+    laws: Mapping[str, Mapping[str, Prior]]
+    joint: Mapping[str, Joint]
+
+    def tissue_inputs(self, law: str) -> Mapping[str, Prior]:
+        """Inputs that the joint fit of ``law`` covers: its tissues, then tension and thicknesses."""
+        return {**self.laws[law], **{name: self.inputs[name] for name in SHARED}}
+
+
+@cache
+def load_priors() -> Priors:
+    """The priors that come with the program (priors.toml), with the joint fit of the laws (tissue_laws.json)."""
+    fitted = json.loads(files("forearm_fem").joinpath("tissue_laws.json").read_text(encoding="utf-8"))
+    joint = {
+        law: Joint(tuple(found["names"]), np.array(found["mean"]), np.array(found["covariance"]))
+        for law, found in fitted["laws"].items()
+    }
+    return replace(wide_priors(), joint=MappingProxyType(joint))
+
+
+def wide_priors() -> Priors:
+    """The priors before the joint fit: what that starts from."""
+    table = tomllib.loads(files(__package__).joinpath("priors.toml").read_text(encoding="utf-8"))
+    laws = {law: _table(inputs) for law, inputs in table["laws"].items()}
+    return Priors(_table(table["inputs"]), MappingProxyType(laws), MappingProxyType({}))
+
+
+def _table(rows: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Prior]:
+    found = {}
+    for name, row in rows.items():
+        stated: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in row.items()}
+        found[name] = Prior(name, **stated)
+    return MappingProxyType(found)
+
+
+# Draws of arms: named inputs from the priors, and the scenario that they make of another.
+
+LAWS = ("kelvin-voigt", "zener", "springpot")
+SOFT = ("skin", "fat", "muscle")
+REFERENCE = 150.0  # Hz at which the size of a springpot's modulus is stated
+WRIST, ELBOW = "contact spring, wrist side", "contact spring, elbow side"
+_PLACED = {"grid x", "grid y", "grid turn"}
+# input -> the key under [device] that it spreads about the scenario's own
+_SPREAD: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "moving mass": ("coil", "moving_mass"),
+        "coil resonance": ("coil", "resonance"),
+        "coil quality": ("coil", "quality"),
+        "housing mass": ("housing", "mass"),
+        "strap stiffness": ("housing", "strap_stiffness"),
+    }
+)
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Number ``number`` of a ``seed``: its ``law``, and its inputs by name (``values``, SI; see priors.toml)."""
+
+    seed: int
+    number: int
+    law: str
+    values: Mapping[str, float]
+
+    def generator(self, purpose: str) -> np.random.Generator:
+        """Random numbers of this draw for a purpose of its own, e.g. "noise"."""
+        return np.random.default_rng([self.seed, self.number, zlib.crc32(purpose.encode())])
+
+
+def draw_inputs(priors: Priors, scenario: Scenario, seed: int, number: int, laws: Collection[str] = LAWS) -> Draw:
+    """Draw ``number`` of ``seed``: the same however many are asked for, by whom, and in which order.
+
+    Each input has random numbers of its own, so that draws of different laws or devices share what they have in common.
+    """
+
+    def normal(name: str) -> float:
+        """This draw's normal score of an input, whatever else is drawn."""
+        return float(np.random.default_rng([seed, number, zlib.crc32(name.encode())]).standard_normal())
+
+    chosen = [law for law in priors.inputs["law"].choices if law in laws]
+    if not chosen:
+        raise ScenarioError(f"laws: expected some of {', '.join(LAWS)}, got {', '.join(sorted(laws)) or 'none'}")
+    law = chosen[int(Prior("law", "choice", "", "judgement", choices=tuple(chosen)).value(normal("law")))]
+    joint, inputs = priors.joint[law], priors.tissue_inputs(law)
+    z = joint.mean + joint.root @ np.array([normal(name) for name in joint.names])
+    values = {name: inputs[name].value(float(x)) for name, x in zip(joint.names, z, strict=True)}
+    for name, prior in priors.inputs.items():
+        if prior.each is not None:
+            values |= _each(prior, scenario, normal)
+        elif name not in values and prior.kind != "choice":
+            values[name] = prior.value(normal(name))
+    return Draw(seed, number, law, values)
+
+
+def _each(prior: Prior, scenario: Scenario, normal: Any) -> dict[str, float]:
+    """One input for each actuator that the prior speaks of, all leaning on one normal by its correlation."""
+    assert prior.each is not None
+    common, own = math.sqrt(prior.each) * normal(prior.name), math.sqrt(1 - prior.each)
+    found = {}
+    for key in each_name(prior.name, scenario):
+        found[key] = prior.value(common + own * normal(key))
+    return found
+
+
+def each_name(prior: str, scenario: Scenario) -> tuple[str, ...]:
+    """Names of the inputs of a ``prior`` that has one for each actuator, or for each on a side of the limb."""
+    stem = prior.partition(",")[0]
+    return tuple(
+        f"{stem} A{k}"
+        for k, (x, _) in enumerate(turned(scenario, scenario.device.centres), start=1)  # the device may be turned
+        if not ((prior == WRIST and x >= 0) or (prior == ELBOW and x < 0))
+    )
+
+
+def scenario_of(draw: Draw, scenario: Scenario, held: Collection[str] = ()) -> Scenario:
+    """``scenario`` on the arm and with the device of ``draw``; inputs of the names or groups ``held`` stay its own.
+
+    Tissues called skin, fat and muscle get the drawn law; others, and limbs without layers, keep theirs. Noise, and the
+    places that the experimenter takes for true, are not in a scenario (:mod:`forearm_fem.questions.predict.outcome`).
+    """
+    data: dict[str, Any] = scenario.model_dump()
+    values = {name: value for name, value in draw.values.items() if name not in held}
+    if "tissue" not in held:
+        known, override, soft = resolve_tissues(scenario), data["tissues"]["override"], limb_tissues(scenario.limb)
+        for tissue, parameters in law_parameters(draw.law, draw.values).items():
+            bulk = "incompressible" if known[tissue].incompressible else known[tissue].bulk
+            if tissue in soft:
+                override[tissue] = {"density": known[tissue].density, "bulk": bulk, **parameters}
+    if "skin tension" in values:
+        data["tissues"]["membrane"]["tension"] = values["skin tension"]
+    layers = data["limb"].get("layers", ())
+    whole = {tissue: sum(part["thickness"] for part in layers if part["tissue"] == tissue) for tissue in SOFT}
+    for layer in layers:  # layers of one tissue share what is drawn for it, as they share their own
+        if (drawn := values.get(f"{layer['tissue']} thickness")) is not None:
+            layer["thickness"] *= drawn / whole[layer["tissue"]]
+    _set_device(data["device"], values)
+    if _PLACED & values.keys():
+        data["grid"] = {"points": moved_points(scenario, values)}
+    return parse_scenario(data)
+
+
+def _set_device(device: dict[str, Any], values: Mapping[str, float]) -> None:
+    """Spreads about the scenario's own device: what is drawn about a centre multiplies what it has."""
+    if "contact area" in values:
+        device["cone"]["radius"] *= math.sqrt(values["contact area"])
+    if "housing share" in values and "skin_share" in device.get("housing", ()):
+        device["housing"]["skin_share"] = values["housing share"]
+    inputs = load_priors().inputs
+    for name, (part, key) in _SPREAD.items():
+        if name in values and key in device.get(part, ()):
+            device[part][key] *= values[name] / inputs[name].centre
+    springs, gains = (
+        {who: value for n, value in values.items() for what, _, who in [n.rpartition(" ")] if what == name}
+        for name in ("contact spring", "gain")
+    )
+    touching = {who: k for who, k in springs.items() if who not in device["out_of_contact"]}
+    device["contact_springs"] = {**device["contact_springs"], **touching}
+    device["gains"] = {**device["gains"], **{who: device["gains"].get(who, 1.0) * g for who, g in gains.items()}}
+
+
+def idle_inputs(scenario: Scenario) -> frozenset[str]:
+    """Inputs of the device that no G of the ``scenario`` hangs on: coil and housing where forces or displacements are
+    given or the housing is held, springs where forces are given, and what is between a cone and skin that it does not
+    touch."""
+    device = scenario.device
+    parts = device.model_dump()
+    keys = {**_SPREAD, "housing share": ("housing", "skin_share")}
+    idle = {name for name, (part, key) in keys.items() if key not in parts.get(part, ())}
+    for name in (f"A{k}" for k in range(1, len(device.centres) + 1)):
+        apart = name in device.out_of_contact
+        if apart or device.drive == "force":
+            idle.add(f"contact spring {name}")
+        if apart and (not isinstance(device, VoltageDevice) or device.housing.fixed):
+            idle.add(f"gain {name}")
+    return frozenset(idle)
+
+
+def law_parameters(law: str, values: Mapping[str, float]) -> dict[str, dict[str, float | str]]:
+    """Keys of ``[tissues.override.T]`` for T = skin, fat and muscle from inputs named "T.input".
+
+    kelvin-voigt: mu [Pa], eta [Pa s]. zener: mu, stiffening mu_infinity/mu - 1, relaxation 1/(2 pi tau) [Hz].
+    springpot: size |mu*| [Pa] at 150 Hz, and exponent; its eta is 1 Pa s.
+    """
+    return {tissue: {"law": law, **_parameters(law, tissue, values)} for tissue in SOFT}
+
+
+def _parameters(law: str, tissue: str, values: Mapping[str, float]) -> dict[str, float]:
+    if law == "kelvin-voigt":
+        return {"mu": values[f"{tissue}.mu"], "eta": values[f"{tissue}.eta"]}
+    if law == "zener":
+        mu, rise = values[f"{tissue}.mu"], values[f"{tissue}.mu"] * values[f"{tissue}.stiffening"]
+        eta = rise / (2 * math.pi * values[f"{tissue}.relaxation"])
+        return {"mu": mu, "mu_infinity": mu + rise, "eta": eta}
+    exponent = values[f"{tissue}.exponent"]
+    size = values[f"{tissue}.size"] / (2 * math.pi * REFERENCE) ** exponent
+    return {"mu": size ** (1 / (1 - exponent)), "exponent": exponent, "eta": 1.0}
+
+
+def moved_points(scenario: Scenario, values: Mapping[str, float]) -> list[tuple[float, float]]:
+    """Grid points where they are in truth: turned about the origin, then shifted [m], in the device's frame."""
+    turn = values.get("grid turn", 0.0)
+    c, s = math.cos(turn), math.sin(turn)
+    dx, dy = values.get("grid x", 0.0), values.get("grid y", 0.0)
+    return [(c * x - s * y + dx, s * x + c * y + dy) for x, y in scenario.grid.places]
+
+
+def soft_tissues(scenario: Scenario) -> tuple[str, ...]:
+    """Which of skin, fat and muscle the limb has, and so what a draw of tissues changes."""
+    limb = scenario.limb
+    named = {layer.tissue for layer in getattr(limb, "layers", ())} | {getattr(limb, "core", "")}
+    named |= set(getattr(limb, "surfaces", {})) | set(getattr(limb, "regions", {}).values())
+    return tuple(t for t in SOFT if t in named)
+
+
+def kept_tissues(scenario: Scenario) -> tuple[str, ...]:
+    """Tissues of the limb's layers and core that no draw changes, for the priors do not name them."""
+    limb = scenario.limb
+    named = [*(layer.tissue for layer in getattr(limb, "layers", ())), getattr(limb, "core", "")]
+    return tuple(dict.fromkeys(t for t in named if t and t not in SOFT))

@@ -1,0 +1,271 @@
+"""Many draws of a scene's arms, resumable, on this machine or a Dask scheduler."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from ... import __version__
+from ...device import close_loop
+from ...engines.simulation import simulate
+from ...errors import AccuracyWarning, ForearmError, ScenarioError
+from ...fem.kernels.compiled import freed_memory_kept
+from ...geometry.device.layout import planform_ports
+from ...progress import Progress, tell, within
+from ...rendering.interval import StrengthAccount
+from ...rendering.job import RenderJob, check_servable, wavelet
+from ...rendering.lattice import is_thesis_grid
+from ...rendering.limits import counted_points
+from ...scenario import Scenario
+from ...scenario.shipped import contents, named_files
+from ...scenario.sweep import frequencies
+from ...store.folder import check_kind, set_kind
+from ...store.record import save
+from ...store.shelf import WORK, Shelf
+from ...store.text import digest_of
+from ...store.work import LOST, done_once, light_workers, spread
+from ...transfer import UNITS, ErrorEstimate
+from ..notes import check_samples
+from .arm import ArmModel, LayeredArm, arm_model
+from .draws import LAWS, draw_inputs, each_name, load_priors, scenario_of
+from .outcome import DrawsFile, Outcome, Setup, outcome_of, setup_of
+from .statistics import Draws, draws_of
+
+DRAWS = 200
+FILE = "draws.nc"
+POOL = 200  # draws that a model of finite elements is made from: the first ones, however many are asked for
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is drawn: plain data, so that it travels to any process that sees ``base``.
+
+    ``laws`` are those drawn from, ``held`` names or groups of inputs (priors.toml) that keep the scenario's values.
+    With ``twin`` arms are drawn on the layered twin, whatever solves the scene.
+    """
+
+    scenario: Scenario
+    base: Path
+    seed: int = 0
+    laws: tuple[str, ...] = LAWS
+    held: tuple[str, ...] = ()
+    twin: bool = False
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all that a draw depends on but its number."""
+        priors = load_priors()
+        content = [__version__, self.scenario.model_dump(mode="json", exclude={"name", "description"}), self.seed,
+                   sorted(self.laws), sorted(self.held), self.twin, repr(priors.inputs), repr(priors.laws),
+                   {law: joint.mean.tolist() for law, joint in priors.joint.items()},
+                   contents(named_files(self.scenario), self.base)]  # fmt: skip
+        return digest_of(content)
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """S of the scene itself with its numerical interval (``nominal``), and what arms do to it (``draws``).
+
+    ``left_out`` says what the arms' model has not, ``unknown`` what of its error is in no band, ``held`` which inputs
+    kept the scenario's values, ``reused`` how many draws were there before, ``seconds`` what this call took.
+    """
+
+    question: Question
+    nominal: StrengthAccount
+    draws: Draws
+    model: str
+    left_out: str
+    held: tuple[str, ...]
+    reused: int
+    seconds: float
+    unknown: str = ""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One draw of a question; ``setup`` is made once a process."""
+
+    question: str
+    base: str
+    seed: int
+    laws: tuple[str, ...]
+    held: tuple[str, ...]
+    twin: bool
+    number: int
+
+
+def predict(
+    question: Question,
+    folder: str | Path,
+    *,
+    draws: int = DRAWS,
+    resume: bool = True,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Progress | None = None,
+) -> Prediction:
+    """S of ``draws`` arms, in ``folder/draws.nc``; each is on a shelf once it is done, where another call finds it.
+
+    With ``resume`` draws of the same question found there are taken, also those of a call for fewer or more; otherwise
+    all are made anew. ``workers`` processes of this machine (1: this one) or those of the Dask scheduler at the address
+    ``scheduler`` share the work; results do not depend on them. Raises ScenarioError for unknown laws or inputs,
+    DataError where too few draws give S.
+    """
+    began = time.monotonic()
+    check_question(question)
+    check_kind(folder, "prediction")
+    out = Path(folder)
+    _, setup, arm = _prepared(*_plain(question), progress)  # an arm that cannot be is said before minutes of solving
+    tell(progress, "the scene itself", 0, 1)
+    nominal, errors = _nominal(question, progress)
+    set_kind(out, "prediction")
+    shelf, digest = Shelf(out / WORK, "finished draws"), question.digest
+    jobs = {f"draw-{n}-{digest[:32]}": Job(*_plain(question), n) for n in range(draws)}
+    if not resume:
+        shelf.drop(*jobs)
+    known = set(shelf.known())
+    reused = sum(key in known for key in jobs)
+    count = workers or min(max(1, draws - reused), light_workers())
+    many = spread(count, scheduler, "a prediction on several processes", asked=workers is not None)
+    made = done_once(
+        shelf, jobs, work if many else lambda job: drawn(question, setup, arm, job.number).as_parts(),
+        run=many, tell=lambda done, total: tell(progress, "draws", done, total),
+    )  # fmt: skip
+    kept = {jobs[key].number: _outcome(jobs[key].number, parts, setup) for key, parts in made}
+    frequency, unit = frequencies(question.scenario.sweep), UNITS[question.scenario.device.drive]
+    save(out / FILE, DrawsFile.of(list(kept.values()), setup.methods, setup.targets, digest, frequency, unit))
+    grid = is_thesis_grid(setup.outputs)
+    points, motors = planform_ports(question.scenario)
+    touching = [p for p in motors if p.name not in question.scenario.device.out_of_contact]
+    least = question.scenario.rendering.clearance
+    clear = dict(zip((p.name for p in points), counted_points(points, touching, least), strict=True))
+    counted = tuple(t for t in setup.targets if clear[t])
+    found = draws_of([kept[n] for n in range(draws)], setup.methods, setup.targets, grid, counted)
+    held = tuple(sorted({*question.held, *arm.held}))
+    return Prediction(
+        question, nominal, found, arm.name, arm.left_out, held, reused, time.monotonic() - began, _unknown(arm, errors),
+    )  # fmt: skip
+
+
+def check_question(question: Question) -> None:
+    """ScenarioError for laws, inputs or groups that are not known and a scene that nothing renders on; DataError for a
+    wavelet's file that cannot be read.
+    """
+    wavelet(question.scenario.rendering, question.scenario.sweep, question.base)
+    priors = load_priors()
+    groups = {p.group for p in priors.inputs.values()}
+    if bad := sorted(set(question.held) - groups - (set(priors.inputs) - {"law"})):
+        raise ScenarioError(
+            f"--hold: no input or group is called '{bad[0]}'; groups are {', '.join(sorted(groups))}, single inputs "
+            "stand in questions/predict/priors.toml"
+        )
+    if bad := sorted(set(question.laws) - set(LAWS)):
+        raise ScenarioError(f"--law: no law is called '{bad[0]}'; known are {', '.join(LAWS)}")
+    if not question.laws:
+        raise ScenarioError(f"--law: expected at least one of {', '.join(LAWS)}")
+    if not hasattr(question.scenario.limb, "layers"):
+        raise ScenarioError(
+            f"limb.shape: '{question.scenario.limb.shape}' has no layers to draw arms from; give the limb as a "
+            "forearm, cylinder or slab"
+        )
+    if not question.scenario.rendering.methods:
+        raise ScenarioError("rendering.methods is empty, so there is no S to predict; name a method")
+    check_servable(question.scenario)
+    check_samples(question.scenario)
+    if question.scenario.rendering.zeros == "search":
+        raise ScenarioError(
+            "rendering.zeros: a search for zero points in each draw takes days; set 'auto' or name them"
+        )
+
+
+def expanded(held: Collection[str], scenario: Scenario) -> frozenset[str]:
+    """Names of inputs for names and groups; of those that each actuator has, the names of the ``scenario``'s."""
+    priors = load_priors()
+    names = {n for n, p in priors.inputs.items() if n in held or p.group in held}
+    each = {key for n in names if priors.inputs[n].each is not None for key in each_name(n, scenario)}
+    return frozenset({*names, *each, *({"tissue"} & set(held))})
+
+
+def _nominal(question: Question, progress: Progress | None) -> tuple[StrengthAccount, tuple[ErrorEstimate, ...]]:
+    """The scene's own S with its interval, and what its G errs by."""
+    scenario, base = question.scenario, question.base
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AccuracyWarning)  # `run` says them
+        transfer = simulate(scenario, base=base, progress=within(progress, "the scene itself")).transfer
+        job = RenderJob.of(scenario, transfer, base=base)
+        account = job.account(transfer, job.play(transfer))
+    tell(progress, "the scene itself", 1, 1)
+    return account, transfer.errors
+
+
+def _unknown(arm: ArmModel, errors: tuple[ErrorEstimate, ...]) -> str:
+    """What of the arms' errors is in no band: what ``arm`` says, and what cutting the limb does to each, which is
+    estimated of the scene alone (its ``errors``), whose waves decay otherwise."""
+    ends = next((e for e in errors if e.source == "truncation"), None)
+    if ends is None or isinstance(arm, LayeredArm):
+        return arm.unknown
+    own = f"an e_band of {ends.band:.1e} of the scene's own G" if ends.known else "unknown of the scene's own G, too"
+    return "; ".join(s for s in (arm.unknown, f"what cutting the limb errs by for each arm is unknown ({own})") if s)
+
+
+def drawn(question: Question, setup: Setup, arm: ArmModel, number: int) -> Outcome:
+    """Draw ``number``; an arm that cannot be is data, not an error."""
+    draw = draw_inputs(load_priors(), question.scenario, question.seed, number, question.laws)
+    try:
+        with freed_memory_kept():
+            return outcome_of(draw, setup, arm)
+    except ForearmError as problem:
+        return Outcome.none(number, draw.law, setup, str(problem))
+
+
+def work(job: Job) -> dict[str, Any]:
+    """The draw of ``job`` as plain data; nothing it raises leaves the worker."""
+    try:
+        question, setup, arm = _prepared(job.question, job.base, job.seed, job.laws, job.held, job.twin)
+        return drawn(question, setup, arm, job.number).as_parts()
+    except Exception as problem:
+        return {LOST: f"{type(problem).__name__}: {problem} (a fault of the program, please report it)"}
+
+
+def _outcome(number: int, parts: Mapping[str, Any], setup: Setup) -> Outcome:
+    """What :meth:`.outcome.Outcome.as_parts` gave, or why there is nothing."""
+    if "strengths" not in parts:
+        return Outcome.none(number, "", setup, str(parts[LOST]))
+    return Outcome(**{**parts, "number": number, "drivers": MappingProxyType(parts["drivers"])})
+
+
+def _plain(question: Question) -> tuple[str, str, int, tuple[str, ...], tuple[str, ...], bool]:
+    text = question.scenario.model_dump_json()
+    return text, str(question.base.resolve()), question.seed, question.laws, question.held, question.twin
+
+
+@lru_cache(maxsize=2)
+def _prepared(
+    text: str, base: str, seed: int, laws: tuple[str, ...], held: tuple[str, ...], twin: bool,
+    progress: Progress | None = None,
+) -> tuple[Question, Setup, ArmModel]:  # fmt: skip
+    """What all draws of a process share. G of the scene serves for its ports alone, so one bin will do.
+
+    A model of finite elements is made once and kept in the cache, where other processes find it.
+    """
+    question = Question(Scenario.model_validate_json(text), Path(base), seed, laws, held, twin)
+    on_twin = question.scenario.engine == "layered" or twin
+    arm = arm_model(question.scenario, base=base, draws=() if on_twin else pool(question), twin=twin, progress=progress)
+    compliance = arm.compliance(question.scenario, frequencies(question.scenario.sweep)[:1])
+    transfer = close_loop(compliance, question.scenario.device)
+    held_by_both = expanded(question.held, question.scenario) | expanded(arm.held, question.scenario)
+    return question, setup_of(question.scenario, transfer, question.base, held_by_both), arm
+
+
+def pool(question: Question) -> list[Scenario]:
+    """The arms that a model of finite elements is made from: the first 200 draws, and the scene itself."""
+    held, priors = expanded(question.held, question.scenario), load_priors()
+    numbers = range(POOL)
+    drawn = (draw_inputs(priors, question.scenario, question.seed, n, question.laws) for n in numbers)
+    return [question.scenario, *(scenario_of(d, question.scenario, held) for d in drawn)]
