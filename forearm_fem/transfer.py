@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from . import notebook
-from .arguments import checked
 from .errors import DataError, SolverError
 from .ports import Port
 from .store.record import dims
@@ -252,7 +251,6 @@ class TransferMatrix:
         save(path, self)
 
 
-@checked
 def finite(transfer: TransferMatrix) -> TransferMatrix:
     """The same G; raises :class:`SolverError` where an entry is no finite number."""
     refuse_non_finite("G", transfer.frequency, transfer.values)
@@ -270,7 +268,6 @@ def refuse_non_finite(what: str, frequency: FloatArray, values: ComplexArray) ->
         )
 
 
-@checked
 def relative_error(estimate: ComplexArray, truth: ComplexArray) -> FloatArray:
     """e(f) = max_ij |estimate - truth| / max_ij |truth| per frequency (n_frequency,).
 
@@ -280,7 +277,6 @@ def relative_error(estimate: ComplexArray, truth: ComplexArray) -> FloatArray:
     return _over(off.max(axis=(1, 2)), size.max(axis=(1, 2)))
 
 
-@checked
 def band_error(estimate: ComplexArray, truth: ComplexArray) -> float:
     """e_band = ||estimate - truth||_F / ||truth||_F over all frequencies and entries.
 
@@ -309,7 +305,6 @@ def _known_to_both(estimate: ComplexArray, truth: ComplexArray) -> tuple[FloatAr
     return np.abs(np.where(known, estimate - truth, 0)), np.abs(np.where(known, truth, 0))
 
 
-@checked
 def relative_error_at(estimate: ErrorEstimate, frequency: FloatArray) -> FloatArray:
     """e(f) (n,) [-] at ``frequency`` (n,) [Hz]: linear between the estimate's own, its ends beyond, or its band value.
 
@@ -320,7 +315,6 @@ def relative_error_at(estimate: ErrorEstimate, frequency: FloatArray) -> FloatAr
     return np.interp(frequency, estimate.frequency, estimate.per_frequency)
 
 
-@checked
 def error_of_pairs(estimate: ErrorEstimate, frequency: FloatArray) -> FloatArray | None:
     """|dG_ij| / max_ij |G_ij| (n, n_out, n_in) [-] at ``frequency`` (n,) [Hz], as :func:`relative_error_at` takes e(f);
     NaN throughout for an estimate that could not be made, None where one does not tell pairs apart."""
@@ -335,7 +329,6 @@ def error_of_pairs(estimate: ErrorEstimate, frequency: FloatArray) -> FloatArray
     return np.asarray((1 - share) * estimate.per_pair[below] + share * estimate.per_pair[above])
 
 
-@checked
 def entry_errors(transfer: TransferMatrix) -> FloatArray:
     """Stated error (n_frequency, n_out, n_in) of each entry of G, in G's unit.
 
@@ -351,7 +344,6 @@ def entry_errors(transfer: TransferMatrix) -> FloatArray:
     return np.asarray(np.where(np.isfinite(g) & bool(transfer.errors), np.sqrt(square), np.nan))
 
 
-@checked
 def entry_band_errors(transfer: TransferMatrix) -> FloatArray:
     """Stated error (n_out, n_in) [-] of each entry of G over the band, relative to the entry's own norm there.
 

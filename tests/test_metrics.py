@@ -14,16 +14,13 @@ from forearm_fem.errors import AccuracyWarning, DataError
 from forearm_fem.metrics import (
     area,
     condition_number,
-    contrast,
     fit_waves,
-    fwhm,
     relative_error_at,
     signal_strength,
     signal_strength_table,
     signal_strength_uncertainty,
     singular_values,
     smooth_noise,
-    spot_radius,
     thesis_table,
 )
 from forearm_fem.ports import Port
@@ -327,7 +324,7 @@ def test_responses_of_another_shape_are_refused():
         fit_waves(np.ones(2), LINE, np.ones((1, 10), dtype=complex))
 
 
-# ---------------------------------------------------------------- conditioning, spots
+# ---------------------------------------------------------------- conditioning
 
 
 def test_singular_values_and_condition():
@@ -336,38 +333,16 @@ def test_singular_values_and_condition():
     assert np.array_equal(condition_number(values), [6, np.inf, np.nan], equal_nan=True)
 
 
-def test_spot_measures():
-    areas = np.array([1.0, 4.0, 2.0, np.nan])
-    places = np.array([[0.0, 0], [0.01, 0], [0.03, 0], [0.0, 9]])
-    assert contrast(areas, 1) == 2
-    assert contrast(np.array([1.0, 0.0]), 0) == np.inf
-    assert spot_radius(areas, places, 1) == pytest.approx(np.sqrt((1 * 0.01**2 + 2 * 0.02**2) / 7))
-
-
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
         (lambda: singular_values(np.eye(3)), "add the first axis"),
-        (lambda: contrast(np.ones(3), 3), "one of the outputs as target"),
-        (lambda: contrast(np.ones(3), -1), "one of the outputs as target"),  # would be the last one, without a word
-        (lambda: spot_radius(np.ones(3), np.zeros((2, 3)), 0), "needs as many positions"),
         (lambda: area(np.ones((2, 9)), time=np.arange(8.0), window=(0.0, 4.0)), "a time for each of the 9 samples"),
     ],
 )
 def test_arrays_that_do_not_fit_are_said(wrong, said):
     with pytest.raises(DataError, match=said):
         wrong()
-
-
-def test_width_at_half_maximum():
-    x = np.linspace(-1, 1, 2001)
-    assert fwhm(x, np.exp(-((x / 0.2) ** 2))) == pytest.approx(
-        2 * 0.2 * np.sqrt(np.log(2)), rel=1e-5
-    )  # 1e-3 steps, linear
-    assert fwhm(np.array([0.0, 1, 2]), np.array([0.0, 2, 0])) == 1
-    assert np.isnan(fwhm(np.array([0.0, 1, 2]), np.array([1.5, 2, 0])))
-    with pytest.raises(DataError, match="width"):
-        fwhm(np.array([0.0, 0, 1]), np.ones(3))
 
 
 # ---------------------------------------------------------------- what is unknown, zero or of another kind
@@ -383,19 +358,6 @@ def test_errors_are_those_of_the_entries_that_both_know():
     assert np.isnan(relative_error(estimate, truth)[2:]).all()
     assert np.isnan(band_error(truth, 0 * truth))
     assert np.isnan(band_error(np.nan * truth, truth))
-
-
-def test_what_moves_nothing_or_is_unknown_has_no_spot():
-    areas, places = np.arange(1.0, 6.0), np.eye(5, 3)
-    lost = np.where(areas == 3, np.nan, areas)
-    for bad in (lost, 0 * areas):
-        assert np.isnan(contrast(bad, 2))
-        assert np.isnan(spot_radius(bad, places, 2))
-    alone = np.where(areas == 3, areas, np.nan)
-    assert np.isnan(contrast(alone, 2))
-    assert contrast(np.nan_to_num(alone), 2) == np.inf
-    for bad in (0 * areas, -areas, lost):
-        assert np.isnan(fwhm(np.arange(5.0), bad))
 
 
 def test_strength_made_of_rounding_is_said():

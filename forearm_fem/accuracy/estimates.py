@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arguments import checked
 from ..errors import DataError
 from ..ports import Port
 from ..scenario import Scenario
@@ -108,7 +107,6 @@ class StrengthInterval:
     coverage: float
 
 
-@checked
 def signal_strength_uncertainty(
     transfer: TransferMatrix,
     strength: Callable[[TransferMatrix], FloatArray],
@@ -162,7 +160,6 @@ def perturbed(
     return replace(transfer, values=transfer.values + change)
 
 
-@checked
 def smooth_noise(
     frequency: FloatArray, shape: tuple[int, ...], rng: np.random.Generator, correlation: float
 ) -> ComplexArray:

@@ -8,7 +8,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..arguments import checked
 from ..scenario.device import Device, VoltageDevice
 from ..transfer import UNITS, Compliance, ErrorEstimate, TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
@@ -38,7 +37,6 @@ class ContactState:
         return np.asarray(compliance.block("point", "contact") @ self.force + self.carried)
 
 
-@checked
 def contact_state(compliance: Compliance, device: Device) -> ContactState:
     """Forces, displacements and reactions at the contacts per unit of ``device.drive``, ``device.gains`` included."""
     state = _STATES[device.drive](compliance, device)
@@ -143,7 +141,6 @@ def _root_mean_square(block: ComplexArray) -> FloatArray:
 # From the skin's compliance to the transfer matrix G.
 
 
-@checked
 def close_loop(compliance: Compliance, device: Device) -> TransferMatrix:
     """G (n_frequency, n_point, n_actuator) of ``device`` on the skin described by ``compliance``.
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arguments import checked
 from ..errors import DataError
 from ..scenario.device import VoltageDevice
 from ..transfer import Compliance
@@ -32,7 +31,6 @@ class PowerBalance:
     strap: FloatArray
 
 
-@checked
 def power(compliance: Compliance, device: VoltageDevice, drives: ComplexArray) -> PowerBalance:
     """Where the electrical power of ``drives`` (n_frequency, n_actuator) [V, peak] goes, ``device.gains`` included."""
     response = respond(compliance, device)
@@ -53,7 +51,6 @@ def power(compliance: Compliance, device: VoltageDevice, drives: ComplexArray) -
     )
 
 
-@checked
 def coil_current(response: DeviceResponse, drives: ComplexArray) -> ComplexArray:
     """Currents (n_frequency, n_actuator) [A] for ``drives`` of that shape [V]."""
     _refuse_unlike(response, drives)
@@ -66,7 +63,6 @@ def _refuse_unlike(response: DeviceResponse, drives: ComplexArray) -> None:
         raise DataError(f"drives have the shape {response.current.shape[:2]} (frequency, actuator), got {drives.shape}")
 
 
-@checked
 def driving_point_impedance(compliance: Compliance) -> ComplexArray:
     """Skin impedance F / (i omega u) under each contact, the others free (n_frequency, n_contact) [N s/m]."""
     own = np.diagonal(compliance.block("contact", "contact"), axis1=1, axis2=2)

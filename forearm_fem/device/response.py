@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arguments import checked
 from ..errors import ScenarioError
 from ..ports import Port, positions
 from ..scenario.device import ActuatorArray, AnyHousing, Device, HeldHousing, VoltageDevice
@@ -137,7 +136,6 @@ class DeviceResponse:
         return np.asarray(1 / np.diagonal(self.current, axis1=1, axis2=2))
 
 
-@checked
 def respond(compliance: Compliance, device: VoltageDevice) -> DeviceResponse:
     """Response of ``device`` on the skin described by ``compliance`` to 1 V at each coil in turn.
 

@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..arguments import checked
 from ..device import close_loop
 from ..errors import AccuracyWarning, DataError, ReductionError, ScenarioError
 from ..fem.assembly.coefficients import Coefficient, term_coefficient
@@ -48,7 +47,6 @@ class SkinModel:
     reduced: ReducedModel
     poles: PoleResidue | None = None
 
-    @checked
     def compliance(self, frequency: FloatArray) -> Compliance:
         """Compliance of all ports at ``frequency`` (n,) [Hz]; NaN for a point force under itself.
 
@@ -76,12 +74,10 @@ class SkinModel:
         values = (self.poles or pole_residue(self.reduced, frequency) or self.reduced).compliance(frequency)
         return Compliance(frequency.copy(), masked(values, self.ports), self.ports)
 
-    @checked
     def transfer(self, frequency: FloatArray) -> TransferMatrix:
         """G of the scenario's device at ``frequency`` (n,) [Hz], increasing; otherwise as :meth:`compliance`."""
         return close_loop(self.compliance(frequency), self.scenario.device)
 
-    @checked
     def changed(self, overrides: Sequence[str]) -> SkinModel:
         """The model for ``key.path=value`` overrides of tissues (not their bulk moduli) and device (not its places).
 

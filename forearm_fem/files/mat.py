@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat, savemat
 
-from ..arguments import checked
 from ..errors import DataError
 from ..ports import Port, positions
 from ..store.folder import write_bytes
@@ -33,7 +32,6 @@ _ONE_SIDED = (
 )
 
 
-@checked
 def write_thesis_mat(
     path: str | Path, transfer: TransferMatrix, sample_rate: float | None = 1e4, duration: float = 2.0
 ) -> None:
@@ -89,7 +87,6 @@ def _on_bins(transfer: TransferMatrix, valid: BoolArray, sample_rate: float, dur
     }
 
 
-@checked
 def read_thesis_mat(path: str | Path) -> TransferMatrix:
     """G of a file by :func:`write_thesis_mat`: its positive, excited bins; DataError if missing or damaged."""
     file = Path(path)

@@ -12,7 +12,6 @@ from typing import ClassVar
 import h5py
 from scipy.io import whosmat
 
-from ..arguments import checked
 from ..errors import DataError
 from ..scenario import Scenario
 from ..store.record import said_content
@@ -95,7 +94,6 @@ _BEGINNINGS: tuple[tuple[bytes, str], ...] = ((b"TDSm", ".tdms"), (b"LabVIEW Mea
 _TIMED = (".tdms", ".lvm", ".wav")
 
 
-@checked
 def read(
     path: str | Path,
     declaration: Declaration | None = None,
@@ -223,7 +221,6 @@ WRITERS: Mapping[str, Callable[[str | Path, TransferMatrix], None]] = MappingPro
 """Writers of G by the ending: netCDF holds everything; CSV and MATLAB all but estimates of errors."""
 
 
-@checked
 def save(path: str | Path, transfer: TransferMatrix) -> None:
     """G in the format of the path's ending: .nc (everything), .csv or .mat."""
     kind = Path(path).suffix.lower()

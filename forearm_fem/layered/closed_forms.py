@@ -9,14 +9,12 @@ import math
 
 import numpy as np
 
-from ..arguments import checked
 from ..typing import ComplexArray, FloatArray
 
 # Real root of x^3 - 8 x^2 + 24 x - 16 = 0, x = (c_R/c_s)^2 for an incompressible solid: c_R = 0.95531 c_s.
 _RAYLEIGH_RATIO = math.sqrt(0.9126219746158474)
 
 
-@checked
 def rayleigh_wavenumber(omega: FloatArray, mu: ComplexArray, rho: float) -> ComplexArray:
     """Complex Rayleigh root k_R = w/(0.95531 sqrt(mu/rho)) [1/m] of an incompressible half-space.
 
@@ -26,7 +24,6 @@ def rayleigh_wavenumber(omega: FloatArray, mu: ComplexArray, rho: float) -> Comp
     return np.asarray(omega / (_RAYLEIGH_RATIO * np.sqrt(np.asarray(mu, dtype=complex) / rho)))
 
 
-@checked
 def kelvin_voigt_shear_wave(omega: FloatArray, mu: float, eta: float, rho: float) -> tuple[FloatArray, FloatArray]:
     """Phase speed [m/s] and attenuation [1/m] of a plane shear wave for mu* = mu + i w eta.
 
@@ -38,7 +35,6 @@ def kelvin_voigt_shear_wave(omega: FloatArray, mu: float, eta: float, rho: float
     return np.sqrt(2 * size**2 / (rho * (mu + size))), np.sqrt(rho * w**2 * lossy / (2 * size**2))
 
 
-@checked
 def miller_pursey_kernel(
     k: FloatArray | ComplexArray, omega: FloatArray, mu: ComplexArray, rho: float, bulk_modulus: float
 ) -> ComplexArray:
@@ -59,37 +55,31 @@ def miller_pursey_kernel(
     return np.asarray(-p / (mu * np.where(pq.real < 0, direct, stable)))
 
 
-@checked
 def inertial_near_field(r: FloatArray, omega: FloatArray, rho: float) -> FloatArray:
     """u_z/F = 1/(2 pi rho w^2 r^3) [m/N], incompressible and lossy, r >> 1/alpha; in phase with the force."""
     return np.asarray(1 / (2 * np.pi * rho * np.asarray(omega) ** 2 * np.asarray(r) ** 3))
 
 
-@checked
 def boussinesq(r: FloatArray, mu: float, nu: float = 0.5) -> FloatArray:
     """Static point force, u_z/F = (1 - nu)/(2 pi mu r) [m/N]."""
     return np.asarray((1 - nu) / (2 * np.pi * mu * np.asarray(r)))
 
 
-@checked
 def uniform_disc_centre(radius: float, mu: float, nu: float = 0.5) -> float:
     """Static uniform pressure on a disc, displacement of its centre, (1 - nu)/(pi a mu) [m/N]."""
     return (1 - nu) / (math.pi * radius * mu)
 
 
-@checked
 def uniform_disc_mean(radius: float, mu: float, nu: float = 0.5) -> float:
     """Static uniform pressure on a disc, mean displacement under it, 8 (1 - nu)/(3 pi^2 a mu) [m/N]."""
     return 8 * (1 - nu) / (3 * math.pi**2 * radius * mu)
 
 
-@checked
 def rigid_disc(radius: float, mu: float, nu: float = 0.5) -> float:
     """Static frictionless rigid disc, d/F = (1 - nu)/(4 mu a) [m/N] (Sneddon 1966)."""
     return (1 - nu) / (4 * mu * radius)
 
 
-@checked
 def bonded_disc(radius: float, mu: float, nu: float = 0.5) -> float:
     """Static rigid disc bonded to the surface, d/F = (1 - 2 nu)/(4 mu a ln(3 - 4 nu)) [m/N].
 

@@ -25,7 +25,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..arguments import checked
 from ..typing import ComplexArray, FloatArray
 
 Base = Literal["halfspace", "rigid"]
@@ -127,7 +126,6 @@ def wavenumbers(omega: FloatArray, layer: Layer) -> tuple[ComplexArray, ComplexA
     return np.asarray(ks), np.asarray(ks * np.sqrt(_speed_ratio(mu, layer.bulk_modulus)))
 
 
-@checked
 def surface_kernel(
     k: FloatArray | ComplexArray,
     omega: FloatArray,
@@ -146,7 +144,6 @@ def surface_kernel(
     return np.asarray(a / (a * d - b * b))
 
 
-@checked
 def surface_compliance(
     k: FloatArray | ComplexArray,
     omega: FloatArray,

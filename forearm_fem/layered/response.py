@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from ..arguments import checked
 from ..errors import AccuracyWarning
 from ..progress import Progress, tell
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
@@ -132,7 +131,6 @@ class LayeredResult:
         return self.quadrature + self.truncation + self.interpolation
 
 
-@checked
 def layered_compliance(
     layers: Sequence[Layer],
     omega: FloatArray,

@@ -11,7 +11,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..arguments import checked
 from ..errors import AccuracyWarning, DataError, HardwareError, ScenarioError
 from ..files.wav import read_wav_drives
 from ..geometry.device.layout import planform_ports
@@ -74,7 +73,6 @@ class CalibrationResult:
     figure_file: Path
 
 
-@checked
 def run_calibration(
     scenario: Scenario,
     folder: str | Path,
@@ -153,7 +151,6 @@ def _timed(plan: Plan, kind: DaqKind | Daq, device: Daq, cable: Loopback | None)
     return plan
 
 
-@checked
 def run_loopback(scenario: Scenario, *, daq: Literal["ni", "sound"] | Daq, card: str | None = None) -> Loopback:
     """Latency and gain of a device whose first output is wired to its first input (the sensor's).
 
@@ -243,7 +240,6 @@ def virtual_device(plan: Plan, virtual: VirtualSetup) -> VirtualDaq:
     return VirtualDaq(virtual.transfer, sweep.sample_rate, sweep.duration, options)
 
 
-@checked
 def run_play(
     scenario: Scenario,
     drives: str | Path,

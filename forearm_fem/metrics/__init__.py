@@ -3,7 +3,6 @@
 from ..accuracy.estimates import StrengthInterval, perturbed, signal_strength_uncertainty, smooth_noise
 from ..transfer import relative_error_at
 from .matrix import ConditionSummary, condition_number, condition_summary, singular_values
-from .spot import contrast, fwhm, spot_radius
 from .strength import StrengthTable, area, signal_strength, signal_strength_table, thesis_table
 from .waves import WaveFit, fit_waves
 
@@ -15,9 +14,7 @@ __all__ = [
     "area",
     "condition_number",
     "condition_summary",
-    "contrast",
     "fit_waves",
-    "fwhm",
     "perturbed",
     "relative_error_at",
     "signal_strength",
@@ -25,6 +22,5 @@ __all__ = [
     "signal_strength_uncertainty",
     "singular_values",
     "smooth_noise",
-    "spot_radius",
     "thesis_table",
 ]

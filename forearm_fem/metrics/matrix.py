@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arguments import checked
 from ..errors import DataError
 from ..typing import ComplexArray, FloatArray
 
@@ -25,7 +24,6 @@ class ConditionSummary:
     singular: int
 
 
-@checked
 def singular_values(values: ComplexArray) -> FloatArray:
     """Singular values (n, min(n_out, n_in)) of ``values`` (n, n_out, n_in), descending, in its unit.
 
@@ -42,7 +40,6 @@ def singular_values(values: ComplexArray) -> FloatArray:
     return out
 
 
-@checked
 def condition_number(values: ComplexArray) -> FloatArray:
     """s_max / s_min (n,) [-] of ``values`` (n, n_out, n_in); inf where singular, NaN where unknown.
 
@@ -54,7 +51,6 @@ def condition_number(values: ComplexArray) -> FloatArray:
     return np.divide(s[:, 0], s[:, -1], out=out, where=known & (s[:, -1] > 0))
 
 
-@checked
 def condition_summary(condition: FloatArray) -> ConditionSummary:
     """What :func:`condition_number` (n,) comes to over a band; frequencies where it is NaN are left out."""
     regular = condition[condition <= _SINGULAR]

@@ -8,12 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arguments import checked
 from ..errors import AccuracyWarning, DataError
 from ..typing import BoolArray, FloatArray
 
 
-@checked
 def area(
     displacement: FloatArray, *, time: FloatArray | None = None, window: tuple[float, float] | None = None
 ) -> FloatArray:
@@ -37,7 +35,6 @@ def area(
     return np.asarray(np.abs(displacement[:, inside]).mean(axis=1))
 
 
-@checked
 def signal_strength(
     displacement: FloatArray,
     target: int,
@@ -152,7 +149,6 @@ class StrengthTable:
         return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
 
 
-@checked
 def signal_strength_table(
     methods: Sequence[str], targets: Sequence[str], strengths: FloatArray, counted: BoolArray | None = None
 ) -> StrengthTable:

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.optimize import least_squares
 
-from ..arguments import checked
 from ..errors import DataError
 from ..typing import BoolArray, ComplexArray, FloatArray
 
@@ -37,7 +36,6 @@ class WaveFit:
     phase_step: FloatArray
 
 
-@checked
 def fit_waves(
     frequency: FloatArray, distance: FloatArray, response: ComplexArray, *, decay: DecayFit = "nonlinear"
 ) -> WaveFit:

@@ -10,7 +10,6 @@ from functools import partial
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ..arguments import checked
 from ..errors import DataError
 from ..transfer import ErrorEstimate, TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
@@ -189,7 +188,6 @@ class Bridged:
         return said
 
 
-@checked
 def bridged(transfer: TransferMatrix) -> Bridged:
     """Fill the holes of each entry of G between its first and its last known bin.
 

@@ -9,7 +9,6 @@ from typing import Protocol
 
 import numpy as np
 
-from ..arguments import checked
 from ..errors import ScenarioError
 from ..ports import Port
 from ..transfer import TransferMatrix
@@ -104,7 +103,6 @@ class Displacements:
         return self.names.index(self.target)
 
 
-@checked
 def drives(renderer: Renderer, transfer: TransferMatrix | Placed, target: str, wavelet: Wavelet) -> Drives:
     """The drives with which ``renderer`` aims ``wavelet`` at output ``target``.
 
@@ -141,7 +139,6 @@ def _placed(transfer: TransferMatrix | Placed, record: Record) -> Placed:
     return transfer
 
 
-@checked
 def displacements(transfer: TransferMatrix | Placed, drives: Drives) -> Displacements:
     """Displacements of all outputs of ``transfer`` under ``drives``: U = G S (eq. 3), back in time.
 
@@ -176,13 +173,11 @@ def _unanswered(placed: Placed, spectrum: ComplexArray, outside: float) -> Float
     return np.asarray((energy.sum(axis=1) @ missing + max(outside, 0.0)) / total)
 
 
-@checked
 def scaled(drives: Drives, factor: float) -> Drives:
     """The drives times ``factor`` [-]; everything is linear, so displacements scale alike and S stays."""
     return replace(drives, spectrum=factor * drives.spectrum)
 
 
-@checked
 def scale_to(
     drives: Drives,
     transfer: TransferMatrix | Placed | None = None,

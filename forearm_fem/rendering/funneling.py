@@ -8,7 +8,6 @@ from itertools import combinations
 
 import numpy as np
 
-from ..arguments import checked
 from ..errors import DataError, GeometryError
 from ..ports import Port, positions
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
@@ -88,7 +87,6 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 Weights = Mapping[str, FloatArray]  # A_q / A (n_in,) by target
 
 
-@checked
 def funneling_weights(inputs: tuple[Port, ...], target: Port) -> FloatArray:
     """A_q / A (n_in,) [-]; they sum to 1.
 

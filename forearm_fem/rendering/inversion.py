@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from ..arguments import checked
 from ..errors import DataError, ScenarioError
 from ..typing import BoolArray, ComplexArray, FloatArray
 
@@ -117,7 +116,6 @@ class Inversion:
         return np.asarray(residual / np.maximum(np.linalg.norm(self.wanted, axis=1), np.finfo(float).tiny))
 
 
-@checked
 def invert(
     matrix: ComplexArray,
     wanted: ComplexArray,

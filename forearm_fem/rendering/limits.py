@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from ..arguments import checked
 from ..errors import ScenarioError
 from ..ports import Port, distances
 from ..scenario.device import Device, VoltageDevice
@@ -108,7 +107,6 @@ class DriveReport:
     checked: bool
 
 
-@checked
 def check(drives: Drives, limits: Limits | None = None) -> DriveReport:
     """Peak, rms and power of each actuator against ``limits``; raises ScenarioError for a bad averaging window."""
     limits = limits or Limits()

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .. import notebook
-from ..arguments import checked
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..metrics.strength import StrengthTable, plain_strength, signal_strength_table, without_bound
 from ..progress import Progress, tell
@@ -145,7 +144,6 @@ def thesis_renderers() -> tuple[Renderer, ...]:
     return (InverseFilter(), Funneling(), Combination())
 
 
-@checked
 def render_all(
     transfer: TransferMatrix,
     targets: Sequence[str] | None = None,
@@ -227,7 +225,6 @@ def _as_renderers(methods: Sequence[Renderer] | Renderer | None) -> tuple[Render
     return tuple(found)
 
 
-@checked
 def strengths(
     transfer: TransferMatrix,
     targets: Sequence[str],

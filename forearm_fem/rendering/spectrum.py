@@ -16,7 +16,6 @@ from typing import Self
 import numpy as np
 from scipy.fft import irfft, rfft
 
-from ..arguments import checked
 from ..errors import DataError, ScenarioError
 from ..ports import Port
 from ..transfer import TransferMatrix, relative_error_at
@@ -72,7 +71,6 @@ class Record:
         return weights
 
 
-@checked
 def to_spectrum(signals: FloatArray, record: Record) -> ComplexArray:
     """One-sided spectra (..., n // 2 + 1) [unit/Hz] of ``signals`` (..., n) [unit]: forward DFT times dt."""
     if signals.shape[-1:] != (record.n,):
@@ -81,7 +79,6 @@ def to_spectrum(signals: FloatArray, record: Record) -> ComplexArray:
     return np.asarray(rfft(rolled, axis=-1) / record.sample_rate, dtype=np.complex128)
 
 
-@checked
 def to_time(spectrum: ComplexArray, index: IntArray, record: Record) -> FloatArray:
     """Real signals (m, n) [unit] of the spectra (n_bins, m) [unit/Hz] on the bins ``index``; zero elsewhere."""
     if spectrum.ndim != 2 or index.shape != spectrum.shape[:1] or np.any((index < 0) | (index > record.n // 2)):
@@ -113,7 +110,6 @@ class BinValues:
         return np.asarray(self.record.df * self.index, dtype=np.float64)
 
 
-@checked
 def place_on_bins(
     frequency: FloatArray,
     values: ComplexArray,
@@ -198,7 +194,6 @@ class Placed:
         return names.index(name)
 
 
-@checked
 def place(transfer: TransferMatrix, record: Record, interpolation: Interpolation | None = None) -> Placed:
     """``transfer`` on the bins of ``record``; raises as :func:`place_on_bins` and DataError for a wrong shape."""
     expected = (len(transfer.frequency), len(transfer.outputs), len(transfer.inputs))
@@ -218,7 +213,6 @@ def place(transfer: TransferMatrix, record: Record, interpolation: Interpolation
     return Placed(bins, transfer.outputs, transfer.inputs, transfer.unit, np.asarray(error))
 
 
-@checked
 def respond(placed: Placed, spectrum: ComplexArray) -> FloatArray:
     """Displacements (n_out, n_t) [m] for drive spectra (n_bins, n_in) [unit/Hz]; eq. 3 of de Vlam 2022.
 

@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 from scipy.io import wavfile
 
-from ..arguments import checked
 from ..errors import DataError, ScenarioError
 from ..metrics.strength import seconds_of
 from ..typing import ComplexArray, FloatArray
@@ -86,7 +85,6 @@ class Wavelet:
         return replace(self, samples=samples, name=f"{self.name}, tapered")
 
 
-@checked
 def window_of(window: Window, wavelet: Wavelet) -> tuple[float, float] | None:
     """Seconds (start, end) of a window by name or as given; None for the whole record."""
     if isinstance(window, str) and window == "record":
@@ -94,7 +92,6 @@ def window_of(window: Window, wavelet: Wavelet) -> tuple[float, float] | None:
     return wavelet.window if isinstance(window, str) and window == "wavelet" else seconds_of(window)
 
 
-@checked
 def ricker(
     peak_hz: float = 250.0, amplitude: float = 1.0, sample_rate: float = 10000.0, duration: float = 2.0
 ) -> Wavelet:
@@ -122,7 +119,6 @@ def ricker(
     return Wavelet(amplitude * (1 - s**2) * np.exp(-(s**2) / 2), record, f"Ricker {peak_hz:g} Hz")
 
 
-@checked
 def from_samples_file(
     path: str | Path, sample_rate: float = 10000.0, duration: float = 2.0, *, normalise: bool = True
 ) -> Wavelet:

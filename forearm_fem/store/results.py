@@ -12,7 +12,6 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from ..arguments import checked
 from ..errors import DataError
 from ..metrics.strength import GROUPS, seconds_of
 from ..transfer import Compliance, TransferMatrix
@@ -54,7 +53,6 @@ class TransferFile:
     compliance: Compliance | None = None
 
 
-@checked
 def write_transfer(path: str | Path, transfer: TransferMatrix, compliance: Compliance | None = None) -> None:
     """Write ``transfer``, and ``compliance`` on the same frequencies if given."""
     if compliance is not None and not np.array_equal(compliance.frequency, transfer.frequency):
@@ -62,13 +60,11 @@ def write_transfer(path: str | Path, transfer: TransferMatrix, compliance: Compl
     save(path, TransferFile(transfer, compliance))
 
 
-@checked
 def write_compliance(path: str | Path, compliance: Compliance) -> None:
     """Write ``compliance`` alone: the expensive half, from which any device can be closed."""
     save(path, TransferFile(None, compliance))
 
 
-@checked
 def read_transfer(path: str | Path) -> TransferMatrix:
     """G exactly as written; DataError if the file is missing, damaged or holds no G."""
     if (found := load(path, TransferFile).transfer) is None:
@@ -76,7 +72,6 @@ def read_transfer(path: str | Path) -> TransferMatrix:
     return found
 
 
-@checked
 def read_compliance(path: str | Path) -> Compliance:
     """The compliance exactly as written; DataError if the file is missing, damaged or holds none."""
     if (found := load(path, TransferFile).compliance) is None:
@@ -167,13 +162,11 @@ def write_displacements(path: str | Path, signals: Signals) -> None:
     save(path, Motion(**{f.name: getattr(signals, f.name) for f in fields(Signals)}))
 
 
-@checked
 def read_drives(path: str | Path) -> Drives:
     """Drives exactly as written; DataError if missing, damaged or something else."""
     return load(path, Drives)
 
 
-@checked
 def read_displacements(path: str | Path) -> Motion:
     """Displacements exactly as written; DataError if missing, damaged or something else."""
     return load(path, Motion)
@@ -196,7 +189,6 @@ class StrengthRow(NamedTuple):
     window: str = ""
 
 
-@checked
 def strength_rows(
     methods: Sequence[str],
     targets: Sequence[str],
@@ -241,7 +233,6 @@ def write_signal_strength_csv(path: str | Path, rows: Iterable[StrengthRow]) -> 
     write_text(path, stream.getvalue())
 
 
-@checked
 def read_signal_strength_csv(path: str | Path) -> tuple[StrengthRow, ...]:
     """The rows as written; DataError for a missing file, another header or a line that does not fit."""
     try:

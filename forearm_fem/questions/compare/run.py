@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from ...arguments import checked
 from ...device.loop import close_loop
 from ...engines.parametric import BEYOND, ParametricModel
 from ...errors import DataError, ForearmError
@@ -58,7 +57,6 @@ class CompareResult:
     files: tuple[Path, ...]
 
 
-@checked
 def run_compare(
     a: str | Path | TransferMatrix,
     b: str | Path | TransferMatrix,
@@ -127,7 +125,6 @@ class FitCommandResult:
     files: tuple[Path, ...]
 
 
-@checked
 def run_fit(
     scenario: Scenario,
     measured: str | Path | TransferMatrix,

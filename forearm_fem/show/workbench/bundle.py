@@ -11,7 +11,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from ...arguments import checked
 from ...engines.library import is_library, load_library
 from ...errors import DataError
 from ...files.declaration import Declaration
@@ -32,7 +31,6 @@ _HEAD = 4096  # characters in which a page says what it was made of
 LIBRARY = ".library.nc"
 
 
-@checked
 def write_workbench(
     what: Results | str | Path, path: str | Path, *, scenario: Scenario | None = None,
     declaration: Declaration | None = None, progress: Progress | None = None, base: str | Path = ".",
