@@ -2,7 +2,7 @@
 
     python3 benchmarks/rigid_discs.py
 
-Prints four tables; the figures of docs/decisions/0025 are from here.
+Prints four tables.
 """
 
 from __future__ import annotations

@@ -2,11 +2,11 @@
 
     python3 benchmarks/tissue_laws.py
 
-For each law the inputs of questions/predict/priors.toml (tissues, tension, thicknesses) start from wide normals;
-DATA moves them: least squares of the logarithms of data and of the inputs' deviates, and Laplace's covariance about the best
-point. Each datum's spread holds people and method, and sources that disagree are data side by side. Data of one kind
-and tissue together weigh as much as one of them: what is wanted is the spread of arms and methods, not that of their
-mean. Table I and figure A.2 of de Vlam 2022 are not among DATA: they are there to judge by.
+For each law the inputs of questions/predict/priors.toml (tissues, tension, thicknesses) start from wide normals; DATA
+moves them: least squares of the logarithms of data and of the inputs' deviates, and Laplace's covariance about the
+best point. Each datum's spread holds people and method, and sources that disagree are data side by side. Data of one
+kind and tissue together weigh as much as one of them: what is wanted is the spread of arms and methods, not that of
+their mean. Table I and figure A.2 of de Vlam 2022 are not among DATA: they are there to judge by.
 """
 
 from __future__ import annotations

@@ -227,7 +227,7 @@ def test_columns_under_a_narrow_cone_are_no_needles():
 
 
 def test_truncation_counts_half_the_change_of_freed_ends():
-    """The share that bounds what longer limbs and the endless twin showed (docs/decisions.md)."""
+    """The share that bounds what longer limbs and the endless twin showed."""
     scenario = parse_scenario(SLAB)
     ports = simulate(scenario.model_copy(update={"engine": "layered"})).compliance.ports
     frequency = np.array([100.0, 150.0])

@@ -156,7 +156,7 @@ def left(model, upper, solution, right):
 @pytest.mark.needs_mkl
 def test_saddle_systems_are_solved_as_well_as_by_pardiso(model, upper, factor):
     """Residuals of point forces on nearly incompressible tissue, both in single precision; scaling is what they need:
-    unscaled they are 0.04 on a forearm (docs/decisions/0009)."""
+    unscaled they are 0.04 on a forearm (decision 0009)."""
     right = model.functionals.astype(complex)
     order = nested_dissection(upper, model.operator.n_displacements)
     theirs = PardisoFactor(upper, order, single=True, matching=False)

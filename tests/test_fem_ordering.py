@@ -85,7 +85,7 @@ def test_the_same_order_each_time(model, upper):
 @pytest.mark.needs_mkl
 def test_no_more_fill_than_the_solvers_own_and_the_same_solutions(model, upper, monkeypatch):
     """Both in double precision, without matching: they differ by rounding alone. On small blocks METIS gains nothing
-    over PARDISO's, and pressures that wait cost 4 %; on a forearm entries are 3 % fewer (docs/decisions/0008)."""
+    over PARDISO's, and pressures that wait cost 4 %; on a forearm entries are 3 % fewer (decision 0008)."""
     ours = PardisoFactor(upper, nested_dissection(upper, model.operator.n_displacements), matching=False)
     monkeypatch.setattr(ordering, "_SMALL", 10**9)
     own = PardisoFactor(upper, nested_dissection(upper, model.operator.n_displacements), matching=False)

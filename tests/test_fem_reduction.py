@@ -482,7 +482,7 @@ def test_expansion_frequencies_are_bins_of_the_band():
 
 
 def test_expansions_lie_where_resonances_are():
-    """Four in 10-500 Hz, equally far apart in f^-0.2 from 30 Hz on (docs/decisions/0006); narrow bands whole."""
+    """Four in 10-500 Hz, equally far apart in f^-0.2 from 30 Hz on; narrow bands whole."""
     bins = np.arange(10.0, 500.5, 0.5)
     assert expansion_frequencies(bins, ReducedSolve(expansions=4)) == (39.5, 72.5, 143.5, 318.5)
     assert expansion_frequencies(np.arange(10.0, 80.5, 0.5), ReducedSolve(expansions=2))[0] < 20.0

@@ -187,7 +187,7 @@ def _peers(rows: Sequence[Row]) -> list[str]:
         "of the others it is extrapolated: the first frequency and 980 times the mean of the later ones, without",
         "assembly. Column e is the worst error at 10 mm over the largest compliance, against the exact solution; apart",
         "is the relative difference to our compliance there. `mumps` has a pressure that is continuous across tissues,",
-        "another discretisation; all others have ours. CalculiX is left out (docs/decisions/0024). Made by",
+        "another discretisation; all others have ours. CalculiX is left out. Made by",
         "`benchmarks/peers.py`.",
         "",
         _peer_choice(rows),

@@ -123,7 +123,7 @@ class ElementsNearContacts:
 # Discretisation error: of a result on one mesh, from its change on a second one with other distances of nodes.
 
 COARSER = 2.0  # size ratio of the second mesh, where it can be made
-# Relative error, and the order assumed there: a change of 0.3 and of 0.82 with COARSER (docs/decisions/0015).
+# Relative error, and the order assumed there: a change of 0.3 and of 0.82 with COARSER (decision 0015).
 _RESOLVED, _UNRESOLVED = (0.3 / (COARSER**1.85 - 1), 1.85), (0.82 / (COARSER**3 - 1), 3.0)
 # Lags [rad] of waves on the mesh itself between which the order assumed falls to the last number (same decision).
 _IN_TIME, _LATE, _LATE_ORDER = 0.04, 0.08, 1.3

@@ -8,7 +8,7 @@ from ..transfer import ErrorEstimate, TransferMatrix, relative_error_at
 from ..typing import FloatArray
 from .discretisation import smoothed_relative_change
 
-# Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions/0016).
+# Shares of a change of ends that bracket the true error of cutting the limb (decision 0016).
 OTHER_ENDS, _OTHER = 0.5, "the ends are clamped (where they are clamped: freed), on the coarser mesh"
 FREED_ENDS, _FREED = 0.5, "the absorbing ends are freed (by the reduced model)"
 

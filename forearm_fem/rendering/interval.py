@@ -32,7 +32,7 @@ _DRAWS, _SEED = 12, 0
 _MARGIN = 2.0  # the ends that are missing may count for more than their neighbours
 _CORRELATION = 50.0  # Hz: errors of meshes and ends are smooth over about that much
 # rms changes of log S: 9 of 10 true errors lie within for errors as they are stated, which is more than they are
-# (docs/decisions/0027); a measurement's random ones are as large as its deviation says
+# (decision 0027); a measurement's random ones are as large as its deviation says
 _HALF_WIDTH, _OF_RANDOM = 1.5, 2.0
 _RANDOM_ONLY = "the interval of S holds the random error of G (its deviation) alone: no systematic one is stated"
 _MOST_WITHOUT = 0.5  # of the values: with fewer deviations than that the random error is unknown

@@ -169,7 +169,7 @@ class Placed:
     """A transfer matrix on the bins of a record: ``bins.values`` (n_bins, n_out, n_in) in ``unit``.
 
     ``error`` (n_bins,) [-] is e(f) that its measurement states, NaN where that is unknown or G was not measured: what
-    a simulation states of itself is in the interval of S and moves no drive (docs/decisions/0027-interval-of-s.md).
+    a simulation states of itself is in the interval of S and moves no drive (decision 0027).
     ``controls`` are control points, by their rows, that are decomposed already (:func:`.with_controls`): what has none
     is decomposed when it is asked for, to the same last bit.
     """

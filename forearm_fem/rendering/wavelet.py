@@ -19,7 +19,7 @@ from .spectrum import Record, to_spectrum, to_time
 
 Window = Literal["wavelet", "record"] | tuple[float, float]
 _HEARD = 1e-3  # of a wavelet's largest sample: where it begins and ends
-_ROOM = 0.05  # s before and after it: later, the band's edges ring (docs/decisions/0027)
+_ROOM = 0.05  # s before and after it: later, the band's edges ring (decision 0027)
 _OUTER = 0.1  # of f_max: where a taper falls
 
 

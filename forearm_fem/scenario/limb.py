@@ -80,7 +80,7 @@ class ForearmLimb(Part):
         return self
 
 
-# Estimated truncation error (e_band of G) of the default forearm cut to a length [m] (docs/decisions/0016).
+# Estimated truncation error (e_band of G) of the default forearm cut to a length [m] (decision 0016).
 TRUNCATION = ((0.12, 0.040), (0.16, 0.022), (0.20, 0.014))
 WHOLE_FOREARM = 0.24
 

@@ -35,7 +35,7 @@ from .skin import FlatSkin, flat_skin
 
 MARGIN = 0.02  # [m] of skin around the patch that bells reach
 WIDTH = 0.4  # of a bell, in steps of the lattice
-_SPREAD, _LEAST, _NOISE = 0.7, 60.0, 1e-6  # kappa in shortest wavenumbers, and [1/m]; docs/decisions/0037-library.md
+_SPREAD, _LEAST, _NOISE = 0.7, 60.0, 1e-6  # kappa in shortest wavenumbers, and [1/m]
 _SAME = ("limb", "tissues", "supports")  # what a scenario shares with its library
 
 

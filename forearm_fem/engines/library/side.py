@@ -36,7 +36,7 @@ from .loads import Bells, bell_functionals
 from .skin import FlatSkin
 
 _MAKING = 5  # raise when the same question would give another part
-_DROP, _ORDERS = 1e-2, 30  # of directions of the space, and derivatives at most (docs/decisions/0037-library.md)
+_DROP, _ORDERS = 1e-2, 30  # of directions of the space, and derivatives at most
 _SIDEWAYS_DROP = 3e-2  # of those that loads along the skin add: what discs held sideways take is a correction
 _FASTER = 2.5  # than the sweep's rate: high frequencies are what a space cut at _DROP leaves out
 _AT_ONCE = 48  # loads

@@ -95,7 +95,7 @@ _LARGE = 32 * 1024 * 1024  # bytes: what glibc's own threshold grows to, which i
 def freed_memory_kept() -> Iterator[None]:
     """glibc maps large arrays one by one and unmaps them at once; inside, it takes them from its heap instead.
 
-    A tenth of the forearm's solve was spent on fresh pages (docs/decisions/0012). At the end what is free goes back to
+    A tenth of the forearm's solve was spent on fresh pages. At the end what is free goes back to
     the system. Does nothing where the C library is another one.
     """
     library = _glibc()

@@ -1,7 +1,7 @@
 """NVIDIA cuDSS for complex symmetric matrices, through nvmath-python (extra "cudss"): only where it is asked for.
 
 Factors stay on the device; matrices and right-hand sides go there and solutions come back. Run on one device with
-nvmath-python 1.0 and cuDSS 0.8 (docs/decisions/0013); elsewhere tested with a stand-in that refuses what that refuses
+nvmath-python 1.0 and cuDSS 0.8; elsewhere tested with a stand-in that refuses what that refuses
 (tests/stand_in_nvmath.py).
 """
 

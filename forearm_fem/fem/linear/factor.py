@@ -25,7 +25,7 @@ from . import cudss, pardiso
 # PARDISO orders by itself with METIS, one separator tried a level. Several tried, and parts of less equal size, leave a
 # tenth less work to the factorisation; the nodes' graph is small enough that this costs no more. A pressure that is
 # eliminated before the displacements it depends on has a pivot of the size of 1 / bulk modulus alone, and the factors
-# lose three digits by it: it waits for a quarter of them (docs/decisions/0008).
+# lose three digits by it: it waits for a quarter of them (decision 0008).
 
 _SEPARATORS = 4  # tried on each level
 _UNEVEN = 300  # parts may differ by this many thousandths; 400 was as good, 600 worse, 1000 did not end

@@ -1,7 +1,7 @@
 """MKL PARDISO for complex symmetric matrices (mtype 6), called through the C interface of ``mkl_rt``.
 
 Only the upper triangle is stored and factorised. Matching lets zero pivots on the diagonal pass, as incompressible
-tissue has them; nearly incompressible limbs are factorised a quarter faster without (docs/decisions/0010).
+tissue has them; nearly incompressible limbs are factorised a quarter faster without.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Orthonormal columns of a reduced space, kept in blocks as they came, and how new ones are made orthonormal to them.
 
 Columns are long: fresh memory for them costs as much time as the arithmetic. So old blocks are never copied, and new
-columns are changed where they lie, piece by piece (docs/decisions/0012). Blocks may be kept in single precision; all
+columns are changed where they lie, piece by piece. Blocks may be kept in single precision; all
 that is worked out with them is in double.
 """
 

@@ -25,7 +25,7 @@ from .reduced_model import ReducedModel
 # |C_ij - f_i . V q_j| <= eta_i eta_j / alpha,    alpha = min over modes of |phi . A phi| / (phi . P phi),
 # whatever modes V lacks, as long as alpha is theirs, too. So modes close to omega are taken to resonate exactly there,
 # whether they do or not, and alpha is halved once more: a mode that V lacks may lose half as much as the least damped
-# of its neighbours, and damping that couples modes changes alpha by less than that (docs/decisions/0028).
+# of its neighbours, and damping that couples modes changes alpha by less than that.
 
 _LESS_LOSS = 0.5  # of a mode that the space lacks, in terms of the least damped of those near it that it has
 _NEAR = 1.5  # ratio of frequencies up to which a mode tells what its neighbours lose
@@ -159,7 +159,7 @@ def dual_estimate(
     """Error of the ``reduced`` model at ``frequency`` [Hz]; ``solve`` gives P^-1 b for real b (n, k), with P at the
     rate of the ``bound``.
 
-    On damped scenes it is 0.7 to 2.3 times the true error (docs/decisions/0045). Not covered: resonances that the
+    On damped scenes it is 0.7 to 2.3 times the true error (decision 0045). Not covered: resonances that the
     space lacks, which only the bound sees; it is infinite beside a mode that loses nothing. LinAlgError where the
     residuals of two ports are alike to the last digit.
     """
@@ -271,7 +271,7 @@ def doubt(
 
     The change is the error of the model with one derivative fewer, and without its weak directions: it says where a
     model is no approximation at all yet. Where the change is small everywhere, the largest error is where the
-    derivatives alone change most (docs/decisions/0007).
+    derivatives alone change most.
     """
     probes = probe_frequencies(frequency, known)
     if not len(probes):

@@ -40,7 +40,7 @@ _AT_ONCE = 5  # derivatives about a rate between two looks at what the last of t
 _AT_LEAST, _SLOW = 20, 60  # derivatives about a rate before the first look, and before resonances are called sharp
 _SHARP, _SEVERAL = 0.03, 3  # loss factor below which a mode may pass unseen between probes; one or two do not
 _SURE = 1e-2  # of the tolerance: what derivatives may change where resonances are sharp, for the bound to pass soon
-_TWICE = 2.0  # the error that a richer space finds: 0.7 to 2.3 times the true one (docs/decisions/0045)
+_TWICE = 2.0  # the error that a richer space finds: 0.7 to 2.3 times the true one (decision 0045)
 _KNOWN = 3  # known solutions that are carried beside the loads of a certificate; with 13 ports they cost nothing
 ROUNDED = 5e-5  # tolerance below which a certificate is refined: elimination alone is right to 1e-5 or so
 _MOST = 1000  # columns about a rate where resonances are sharp; beyond, solves at all bins are no dearer
@@ -219,7 +219,7 @@ class Expander:
         """The model about the rate where resonances are sharp, in double precision from the start.
 
         What single-precision solves leave is magnified by the resonances: in double precision half the derivatives
-        do (docs/decisions/0028). None where a thousand columns do not
+        do. None where a thousand columns do not
         resolve the band to what is ``wanted``.
         """
         _log.warning("resonances of this band are sharp: their derivatives are made in double precision")
@@ -287,7 +287,7 @@ def starts_from_rate(model: ForearmModel, options: ReducedSolve) -> bool:
 def expansion_rate(frequency: FloatArray) -> float:
     """Rate [1/s] from which a band is spanned with the fewest derivatives: 100 Hz for 10-500 Hz.
 
-    The geometric mean of the band from 20 Hz on where it goes well beyond (docs/decisions/0005).
+    The geometric mean of the band from 20 Hz on where it goes well beyond (decision 0005).
     """
     low = max(frequency[0], min(_LOWEST, frequency[-1] / 12))
     return float(2 * np.pi * np.sqrt(low * frequency[-1]))
@@ -296,8 +296,7 @@ def expansion_rate(frequency: FloatArray) -> float:
 def expansion_frequencies(frequency: FloatArray, options: ReducedSolve) -> tuple[float, ...]:
     """Middles of equal parts of the band in f^-0.2, from 30 Hz on where the band goes well beyond.
 
-    Below, an expansion from above holds; far above, resonances are damped and one expansion reaches far
-    (docs/decisions/0006).
+    Below, an expansion from above holds; far above, resonances are damped and one expansion reaches far.
     """
     count = min(options.expansions, len(frequency))
     low = max(frequency[0], min(_QUIET, frequency[-1] / 8)) ** _SPREAD

@@ -251,7 +251,7 @@ def on_directions(reduced: ReducedModel, directions: FloatArray) -> ReducedModel
 # all between them. It starts from derivatives about a real rate for the model's own ones. Then, over and over, the
 # place (draw and frequency) where the model changes most without its highest derivatives is solved directly. That gives
 # a true error there, and the solution with its derivatives extends the space. At the end each part of the band gets a
-# model of its own, on the principal directions of what the draws do there (docs/decisions/0038-parametric-model.md).
+# model of its own, on the principal directions of what the draws do there (decision 0038).
 
 _STAGE = "arms solved"
 _LOOKED_AT = 24  # places among which the next solve is chosen; each costs two small dense solves

@@ -3,8 +3,8 @@
 Each basis vector is a displacement together with its own pressure, made orthonormal in the displacements: the saddle
 system projected on such pairs is as good as the condensed one, because solutions obey B u = -S p. Kept in saddle form
 it is stationary, so that what solves leave of B u + S p enters squared: single-precision factors are enough
-(docs/decisions/0004). Where tissue is compressible the pressures are then those that suit best within the span of all
-of them, which keeps the stiffness positive whatever solves leave (docs/decisions/0033). Every term
+(decision 0004). Where tissue is compressible the pressures are then those that suit best within the span of all
+of them, which keeps the stiffness positive whatever solves leave. Every term
 stays real symmetric, which keeps reciprocity and passivity; the span of the real and the imaginary parts is used.
 """
 
@@ -104,7 +104,7 @@ class ReducedModel:
     def changed(self, coefficients: Mapping[str, Coefficient]) -> ReducedModel:
         """The same space with other coefficients for some terms, such as "shear muscle".
 
-        The error for them is not certified: it grows with the change (docs/decisions/0014). Raises KeyError for a name
+        The error for them is not certified: it grows with the change. Raises KeyError for a name
         that is no term.
         """
         if unknown := set(coefficients) - set(self.names):

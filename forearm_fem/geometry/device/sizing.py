@@ -20,12 +20,12 @@ from .layout import RIGID, Layout, layers_of
 
 # The part of a mesh that waves pass on their way from contacts to points, and the order of elements there.
 
-REACH, DEPTH = 0.03, 0.025  # [m] what third order gains beyond them on the forearm is in docs/decisions/0002
+REACH, DEPTH = 0.03, 0.025  # [m] what third order gains beyond them on the forearm is in decision 0002
 _UNIFORM = {"P1": 1, "P2": 2, "P3": 3}
 # Longest edge, relative to the usual edge between ports, up to which second order is enough: in the outermost tissue,
 # the one beneath, all deeper ones. Second order needs edges half as long as third; fat's waves are 1.4 times shorter.
 # At 0.95 and 1.42 points beside a rigid disc on a slab were 10 % off at 500 Hz, whatever the accuracy asked for, and
-# the second mesh was off by nearly the same (docs/decisions/0026-rims.md).
+# the second mesh was off by nearly the same.
 _SMALL = (0.0, 0.5, 0.7)
 
 

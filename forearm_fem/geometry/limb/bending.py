@@ -1,7 +1,7 @@
 """Edges of a limb's mesh bent along its walls: flat facets would cut off what a finer mesh does not.
 
 In the layers an edge's middle gets the mean of its ends' place along the limb, angle and depth, so that prisms bend as
-a whole; on a bone it goes out to the wall. What facets cost, and what bending gains, is in docs/decisions/0017.
+a whole; on a bone it goes out to the wall. What facets cost, and what bending gains, is in decision 0017.
 """
 
 from __future__ import annotations

@@ -275,7 +275,7 @@ def with_model_error(result: FitResult, coarser: Values, factor: float) -> FitRe
 def with_scattered_error(result: FitResult, moved: FloatArray) -> FitResult:
     """The same with intervals that hold ``moved`` (n, k), in the fitted coordinates: how far answers that are wrong by
     what a model may err by move the values (:func:`moved_by`). 1.5 times their rms is taken for the half width, as for
-    S (docs/decisions/0027)."""
+    S (decision 0027)."""
     return _widened(result, (1.5 / 1.96) ** 2 * (moved.T @ moved) / len(moved))
 
 

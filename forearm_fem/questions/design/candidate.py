@@ -175,7 +175,7 @@ def evaluate(design: Design, values: Values, arm: ArmModel) -> Candidate:
 
 
 def s_interval(design: Design, candidate: Candidate, arm: ArmModel) -> tuple[float, float]:
-    """Least and largest score [-] that the errors of the model's G allow, by draws (docs/decisions/0027)."""
+    """Least and largest score [-] that the errors of the model's G allow, by draws (decision 0027)."""
     asked, low, high = design.asked, [], []
     for whole, base in zip(design.scenarios(candidate.values), design.bases, strict=True):
         scenario = _shorter(whole, asked.search.duration)

@@ -34,8 +34,8 @@ _ASKED = 33  # frequencies asked of the twin for what geometry changes: polynomi
 _FITTED = 1e-4  # of the largest entry: what a rational function of it may miss at those that it does not pass through
 _BETWEEN = 2  # times as much it may miss elsewhere: at single frequencies twice this was seen, over the band half
 _OTHERS = 6  # answers as wrong as geometry may make one
-_SMOOTH = 50.0  # Hz over which what geometry misses is alike, as for other errors of S (docs/decisions/0027)
-_MISSED = 0.5  # of the change by geometry that the twin may be wrong by (docs/decisions/0042)
+_SMOOTH = 50.0  # Hz over which what geometry misses is alike, as for other errors of S (decision 0027)
+_MISSED = 0.5  # of the change by geometry that the twin may be wrong by
 _GEOMETRY = ("thickness", "placement", "contact area")
 
 
@@ -275,7 +275,7 @@ def as_wrong(found: Compliance, off: Sequence[ComplexArray | FloatArray]) -> tup
     """Answers as wrong as each error of ``off`` (n, n_port, n_port) [m/N] may make them, in any phase: every other one
     alike at all pairs of ports, as where the same waves decay too much everywhere, the rest at each pair by chance.
 
-    What the same share of all pairs does to S does not average out over pairs (docs/decisions/0042).
+    What the same share of all pairs does to S does not average out over pairs.
     """
     size = np.abs(found.values)
     phase = np.divide(found.values, size, out=np.ones_like(found.values), where=size > 0)

@@ -20,7 +20,7 @@ _PRODUCTS = "scipy_cgemm3m_", "cgemm3m_"
 def product_address() -> int:
     """Where SciPy's OpenBLAS multiplies matrices, by three real products for a complex one if it offers that.
 
-    A tenth of a factorisation's time, for residuals up to a fifth larger (docs/decisions/0009).
+    A tenth of a factorisation's time, for residuals up to a fifth larger (decision 0009).
     """
     usual = int(get_cython_function_address("scipy.linalg.cython_blas", "cgemm"))
     for pool in threadpool_info():
