@@ -95,8 +95,8 @@ BALL, PLATE = Disc(0.0, 0.0, 1.5e-3), Disc(0.0, 0.0, math.sqrt(0.5e-4 / math.pi)
 
 def modulus(parameters: Mapping[str, Any]) -> Modulus:
     """The modulus that a scenario's override would give."""
-    p = {key: value for key, value in parameters.items() if key != "model"}
-    return {"kelvin-voigt": KelvinVoigt, "zener": Zener, "springpot": SpringPot}[parameters["model"]](**p)
+    p = {key: value for key, value in parameters.items() if key != "law"}
+    return {"kelvin-voigt": KelvinVoigt, "zener": Zener, "springpot": SpringPot}[parameters["law"]](**p)
 
 
 def predicted(law: str, inputs: Mapping[str, Prior], z: FloatArray) -> FloatArray:
@@ -164,7 +164,7 @@ def _presets(law: str, inputs: Mapping[str, Prior], mean: FloatArray, covariance
     out: dict[str, Any] = {}
     for tissue in SOFT:
         out[tissue] = {}
-        for key in (k for k in centre[tissue] if k != "model"):
+        for key in (k for k in centre[tissue] if k != "law"):
             logs = np.log([d[tissue][key] for d in drawn])
             low, high = np.exp(np.quantile(logs, [0.05, 0.95]))
             numbers = {"value": centre[tissue][key], "low": low, "high": high, "spread": math.exp(float(np.std(logs)))}

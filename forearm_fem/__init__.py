@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     **dict.fromkeys(("calibrate", "compare", "design", "fit", "predict", "read", "render"), "api"),
-    **dict.fromkeys(("Simulation", "simulate"), "pipeline.simulation"),
+    **dict.fromkeys(("Simulation", "simulate"), "engines.simulation"),
     **dict.fromkeys(("ArmLibrary", "load_library"), "engines.library"),
     **dict.fromkeys(("Aim", "Renderer"), "rendering.drives"),
     **dict.fromkeys(("Scenario", "load_scenario"), "scenario"),

@@ -153,7 +153,7 @@ CASES: tuple[Case, ...] = (
         ("wave.csv",),
         ("rendering.wavelet.file='wave.csv'",),
         wavelet_of_text,
-        "render",
+        ("render",),
     ),
     Case(
         "layer thicker than the slab",
@@ -233,7 +233,7 @@ CASES: tuple[Case, ...] = (
         "signals that fill the memory",
         'name = "bad"\nengine = "layered"\n',
         ("GB", "fewer rendering.targets"),
-        ("grid.rows=50", "grid.columns=50"),
+        ("grid.rows=50", "grid.columns=50", "grid.pitch=0.001"),
         command=("render",),
     ),
     Case("discs that nearly touch", SLAB, ("contact A1 and A2", "0.4 mm between"), ("device.spacing=0.0074",)),

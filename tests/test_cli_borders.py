@@ -14,7 +14,7 @@ import pytest
 from cli_runner import SMALL, cli, every_command, leftovers
 from scipy.io import savemat
 
-from forearm_fem.cli.app import app as program
+from forearm_fem.cli import app as program
 from forearm_fem.geometry.device.layout import planform_ports
 from forearm_fem.ports import Port
 from forearm_fem.scenario import load_scenario
@@ -272,7 +272,6 @@ def test_a_g_of_another_origin_is_not_replaced(lab: Path, line: Any, provenance:
         ),
         (("figures", ".", "--format", ","), "--format: expected names between the commas"),
         (("figures", ".", "--only", ","), "--only: expected names between the commas"),
-        (("figures", ".", "--over", "transfer=a.csv", "--over", "transfer=b.csv"), "--over: names a figure twice"),
         (("library", "thesis", "--out", "folder.nc"), "folder.nc: is a folder, expected the name of a file"),
         (("show", ".", "--save", "folder.gif"), "folder.gif: is a folder, expected the name of a file"),
     ],

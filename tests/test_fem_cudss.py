@@ -16,7 +16,7 @@ from forearm_fem.fem.linear import factor as factors
 from forearm_fem.fem.linear.cudss import CudssFactor
 from forearm_fem.fem.linear.factor import make_factor, refined_solve
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
-from forearm_fem.scenario.sweep import ReducedSolve
+from forearm_fem.scenario.sweep import DirectSolve, ReducedSolve
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import held_block
 
@@ -93,7 +93,7 @@ def test_sweeps_on_it_equal_others(model):
     band = np.linspace(50.0, 400.0, 36)
     exact = direct_sweep(model, band[::7], ReducedSolve()).values
     for how in ("direct", "reduced"):
-        options = ReducedSolve(backend="cudss", sweep=how)
+        options = (DirectSolve if how == "direct" else ReducedSolve)(backend="cudss")
         sweep = direct_sweep if how == "direct" else reduced_sweep
         found = sweep(model, band, options)
         assert found.solver == "cudss"

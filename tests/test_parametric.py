@@ -49,7 +49,7 @@ SCENE = {
     },
     "device": {"contacts": [[-0.012, 0.0], [0.012, 0.004]], "cone": {"contact": "pressure"}},
     "grid": {"points": [[0.0, 0.003], [0.002, -0.009]]},
-    "mesh": {"size_contact": 4.5e-3, "size_grid": 9e-3, "size_far": 16e-3, "sublayers": {"skin": 1, "fat": 1}},
+    "mesh": {"size_contact": 4.5e-3, "size_grid": 8e-3, "size_far": 12e-3, "sublayers": {"skin": 1, "fat": 1}},
     "solver": {"discretisation_estimate": False},
     "sweep": {"f_min": 20.0, "f_max": 500.0},
 }  # fmt: skip

@@ -127,7 +127,7 @@ def test_presets_of_bounded_damping_are_the_best_point_of_the_fit() -> None:
         for tissue in SOFT:
             record = PRESETS[law][tissue]
             assert record.model == law
-            for key in (k for k in best[tissue] if k != "model"):
+            for key in (k for k in best[tissue] if k != "law"):
                 assert record.values[key] == pytest.approx(best[tissue][key], rel=2e-3)
 
 

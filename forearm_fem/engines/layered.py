@@ -29,6 +29,8 @@ from ..transfer import Compliance
 from ..typing import ComplexArray, FloatArray
 from ..user_cache import default_cache_dir
 
+__all__ = ["LayeredEngine", "solve_layered"]
+
 # The semi-analytic engine: the same ports on flat layers without end, by the same rules of placement.
 
 _TOLERANCE = 1e-7  # of the quadrature and of the interpolation in frequency: far below what rigid contacts leave

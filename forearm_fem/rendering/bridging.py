@@ -111,7 +111,7 @@ def _judge(place: FloatArray, values: ComplexArray, bins: IntArray, df: float, t
         raise DataError(
             f"samples of G near {place[at] * df:.4g} Hz are {(place[at + 1] - place[at]) * df:.3g} Hz apart: "
             f"interpolating them would err by about {error[worst]:.1%}, allowed {tolerance:.1%}; give {record} or G on "
-            "more frequencies (responses in time: fill up with zeros, time.length in a recipe)"
+            "more frequencies (time.length of a recipe)"
         )
 
 

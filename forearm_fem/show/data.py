@@ -39,11 +39,11 @@ T = TypeVar("T")
 # file -> the stage (sub-command) that writes it
 STAGES: Mapping[str, str] = MappingProxyType(
     {
-        "scenario.json": "solve",
-        "run.json": "solve",
-        "mesh.vtu": "mesh",
-        "transfer.nc": "solve",
-        "wavefield.npz": "solve",
+        "scenario.json": "run",
+        "run.json": "run",
+        "mesh.vtu": "run",
+        "transfer.nc": "run",
+        "wavefield.npz": "run",
         "drives.nc": "render",
         "displacements.nc": "render",
         "signal_strength.csv": "render",

@@ -124,7 +124,6 @@ def predict(
     _, setup, arm = _prepared(*_plain(question), progress)  # an arm that cannot be is said before minutes of solving
     tell(progress, "the scene itself", 0, 1)
     nominal, errors = _nominal(question, progress)
-    set_kind(out, "prediction")
     shelf, digest = Shelf(out / WORK, "finished draws"), question.digest
     jobs = {f"draw-{n}-{digest[:32]}": Job(*_plain(question), n) for n in range(draws)}
     if not resume:
@@ -137,7 +136,11 @@ def predict(
         shelf, jobs, work if many else lambda job: drawn(question, setup, arm, job.number).as_parts(),
         run=many, tell=lambda done, total: tell(progress, "draws", done, total),
     )  # fmt: skip
-    kept = {jobs[key].number: _outcome(jobs[key].number, parts, setup) for key, parts in made}
+    kept = dict[int, Outcome]()
+    for key, parts in made:
+        if not kept:  # a prediction that ends before its first draw leaves nothing
+            set_kind(out, "prediction")
+        kept[jobs[key].number] = _outcome(jobs[key].number, parts, setup)
     frequency, unit = frequencies(question.scenario.sweep), UNITS[question.scenario.device.drive]
     save(out / FILE, DrawsFile.of(list(kept.values()), setup.methods, setup.targets, digest, frequency, unit))
     grid = is_thesis_grid(setup.outputs)

@@ -152,7 +152,7 @@ export function table(app, choose) {
 }
 
 /** Whether a point lies under a cone or nearer to a rim than `clearance` [m]. @param {import("./device.js").Port} point @param {import("./device.js").Port[]} inputs @param {number} clearance */
-export function nearMotor(point, inputs, clearance) {
+function nearMotor(point, inputs, clearance) {
   return inputs.some((a) => Math.hypot(...a.position.map((x, k) => x - point.position[k])) - a.radius < clearance - 1e-9);
 }
 
