@@ -113,6 +113,7 @@ def test_no_third_is_started_for_complex_numbers_that_no_one_needs(started, monk
     assert started == ["factors", "products"]
 
 
+@pytest.mark.slow
 def test_a_run_waits_after_its_assembly_and_before_it_factorises(monkeypatch):
     class Waited(Exception):
         pass

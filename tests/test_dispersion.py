@@ -8,10 +8,10 @@ import pytest
 from forearm_fem.accuracy.discretisation import NumericalDispersion, phase_error
 from forearm_fem.device import close_loop
 from forearm_fem.engines.layered import solve_layered
+from forearm_fem.engines.notes import near_disc_notes
 from forearm_fem.engines.simulation import simulate
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.device.place import place_ports
-from forearm_fem.questions.notes import near_disc_notes
 from forearm_fem.questions.run import Run, run_solve
 from forearm_fem.results import read_run
 from forearm_fem.scenario import Scenario, parse_scenario

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from forearm_fem.engines.notes import model_notes
 from forearm_fem.errors import SolverError
 from forearm_fem.fem.assembly.coefficients import Polynomial
 from forearm_fem.fem.linear.direct import make_solver
@@ -17,7 +18,6 @@ from forearm_fem.fem.reduction.expansion import expansion_rate
 from forearm_fem.fem.reduction.poles import pole_residue
 from forearm_fem.fem.reduction.reduced_model import ReducedModel, condensed, empty_model, with_last_columns
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
-from forearm_fem.questions.notes import model_notes
 from forearm_fem.results import SolutionRecord
 from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.transfer import relative_error

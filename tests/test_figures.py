@@ -285,7 +285,7 @@ def test_a_figure_draws_into_a_notebooks_axes_and_leaves_its_style_alone(run: Re
 
 
 @pytest.mark.parametrize(
-    ("missing", "stage"), [("drives.nc", "render"), ("transfer.nc", "solve"), ("scenario.json", "solve")]
+    ("missing", "stage"), [("drives.nc", "render"), ("transfer.nc", "run"), ("scenario.json", "run")]
 )
 def test_a_half_finished_folder_names_the_missing_stage(folder: Path, tmp_path: Path, missing: str, stage: str) -> None:  # noqa: F811
     part = tmp_path / "part"
@@ -331,6 +331,7 @@ def test_no_folder_no_figures(tmp_path: Path) -> None:
         make_figures(tmp_path / "nothing")
 
 
+@pytest.mark.slow
 def test_vector_formats_and_any_back_end(folder: Path, tmp_path: Path) -> None:  # noqa: F811
     """A back end that needs a display is the user's; we draw without it."""
     code = (

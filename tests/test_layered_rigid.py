@@ -293,7 +293,7 @@ def test_weights_of_many_panels_at_once_are_those_of_a_plain_rule():
     assert np.array_equal(weights[-NODES:], weights[:NODES])
 
 
-@pytest.mark.parametrize("contact", ["bonded", "frictionless"])
+@pytest.mark.parametrize("contact", ["frictionless", pytest.param("bonded", marks=pytest.mark.slow)])
 def test_points_beside_rims_state_their_truncation_error_within_a_factor(contact, monkeypatch):
     """Stated over true, against series twice as long: at least one half, as everywhere, and less than 15.
 

@@ -422,6 +422,7 @@ def test_a_library_states_what_stretched_skin_is_off_by(library, monkeypatch):
     assert more.band == pytest.approx(flat.band + share, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_library_that_was_ended_goes_on_to_the_same_to_the_bit(slab, library, tmp_path, monkeypatch):
     """Ended after its first batch of loads: the rest is solved, the answer is that of one go, and then nothing is."""
     monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))

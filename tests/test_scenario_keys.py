@@ -18,13 +18,13 @@ from pydantic.fields import FieldInfo
 
 from forearm_fem.engines import solved
 from forearm_fem.engines.forecast import forecast, refuse_if_signals_too_large
+from forearm_fem.engines.notes import scene_notes
 from forearm_fem.engines.simulation import render_transfer, simulate
 from forearm_fem.errors import AccuracyWarning, ForearmError, ScenarioError
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.cache import mesh_key
 from forearm_fem.geometry.mesh.quality import mesh_quality
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
-from forearm_fem.questions.notes import scene_notes
 from forearm_fem.questions.run import accuracy_verdict
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.scenario.base import Within

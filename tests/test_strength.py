@@ -11,6 +11,7 @@ import pytest
 from test_rendering import BAND, actuators, grid, waves
 
 from forearm_fem.accuracy.discretisation import over_pairs
+from forearm_fem.engines.notes import check_samples, sample_notes
 from forearm_fem.engines.simulation import account_of, render_transfer
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
 from forearm_fem.measurement.entry import noise_estimate
@@ -19,7 +20,6 @@ from forearm_fem.ports import Port
 from forearm_fem.questions.compare.common import common_ground
 from forearm_fem.questions.compare.crossplay import cross_play
 from forearm_fem.questions.compare.run import run_compare
-from forearm_fem.questions.notes import check_samples, sample_notes
 from forearm_fem.questions.predict.run import Question, check_question
 from forearm_fem.questions.run import Run, run_all, run_render
 from forearm_fem.rendering import (

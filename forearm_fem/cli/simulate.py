@@ -51,7 +51,7 @@ def run(
         _until(asked, scenario, until, out, overrides)
         return
     if dry_run:
-        from ..questions.notes import scene_notes
+        from ..engines.notes import scene_notes
         from ..questions.run import check_rendering
         from ..scenario.sweep import frequencies
 

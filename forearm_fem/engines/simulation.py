@@ -17,7 +17,6 @@ from ..errors import ScenarioError
 from ..geometry.mesh.quality import Resolution
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..progress import Progress
-from ..questions.notes import model_notes, near_disc_notes
 from ..rendering import Rendering
 from ..rendering.interval import StrengthAccount
 from ..rendering.job import RenderJob, render_transfer
@@ -27,6 +26,7 @@ from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix, finite
 from .engine import Engine, SolvingEngine, engine_of, refuse_unheld
 from .layered import LayeredEngine, flat_notes
+from .notes import model_notes, near_disc_notes
 from .solved import Solved
 
 if TYPE_CHECKING:

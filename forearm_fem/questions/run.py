@@ -17,6 +17,7 @@ from ..device import contact_state
 from ..device.response import carries_points
 from ..engines.engine import Engine
 from ..engines.forecast import Ledger, refuse_if_signals_too_large
+from ..engines.notes import check_samples, scene_notes
 from ..engines.simulation import Simulation, simulate, versions
 from ..engines.skin_model import save_skin_model
 from ..errors import AccuracyWarning, DataError, ScenarioError
@@ -65,7 +66,6 @@ from ..store.results import (
 from ..store.text import read_json, write_json
 from ..transfer import TransferMatrix
 from ..wavefield import Wavefield, save_wavefield
-from .notes import check_samples, scene_notes
 
 __all__ = ["Run", "check_rendering", "run_all", "run_given", "run_mesh", "run_render", "run_solve"]
 

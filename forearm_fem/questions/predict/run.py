@@ -13,6 +13,7 @@ from typing import Any
 
 from ... import __version__
 from ...device import close_loop
+from ...engines.notes import check_samples
 from ...engines.simulation import simulate
 from ...errors import AccuracyWarning, ForearmError, ScenarioError
 from ...fem.kernels.compiled import freed_memory_kept
@@ -31,7 +32,6 @@ from ...store.shelf import WORK, Shelf
 from ...store.text import digest_of
 from ...store.work import LOST, done_once, light_workers, spread
 from ...transfer import UNITS, ErrorEstimate
-from ..notes import check_samples
 from .arm import ArmModel, LayeredArm, arm_model
 from .draws import LAWS, draw_inputs, each_name, load_priors, scenario_of
 from .outcome import DrawsFile, Outcome, Setup, outcome_of, setup_of

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..device import close_loop
-from ..engines.layered import solve_layered
 from ..errors import DataError, ForearmError, ScenarioError
 from ..rendering import Record, bridged, place
 from ..results import SolutionRecord
@@ -18,6 +17,7 @@ from ..scenario.limb import MeshLimb, SlabLimb, SurfacesLimb
 from ..scenario.model import for_elements_only
 from ..scenario.sweep import FrequencyList, frequencies
 from ..transfer import finite
+from .layered import solve_layered
 
 # Whether chosen frequencies lie close enough to fill the bins between them, told before anything is solved.
 
