@@ -1,4 +1,4 @@
-"""Two workers share two cores: each computes with one thread, unless told otherwise. What asks for PARDISO says so.
+"""Three workers share two cores: each computes with one thread, unless told otherwise. What asks for PARDISO says so.
 
 Kernels are compiled once, by one worker, while the other runs files that need none; the longest files come first.
 """
@@ -68,9 +68,10 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 # With no kernel kept the first file compiles nearly all of them, in a process of its own: until then the other worker
 # has the next ones, on flat layers alone. Long files taken last would leave a worker idle.
 FIRST = (
-    "test_compile_ahead.py", "test_scenario_keys.py", "test_cli_measured.py", "test_two_commands.py",
-    "test_strength.py", "test_prediction.py", "test_parametric.py", "test_library.py", "test_fem_reduction.py",
-    "test_geometry_even.py", "test_pipeline.py", "test_workbench.py", "test_workbench_page.py", "test_figures.py",
+    "test_parametric.py", "test_study_pages.py", "test_cli_borders.py", "test_figures.py", "test_workbench_page.py",
+    "test_compile_ahead.py", "test_scenario_keys.py", "test_surface.py", "test_cli_measured.py", "test_two_commands.py",
+    "test_strength.py", "test_prediction.py", "test_library.py", "test_fem_reduction.py", "test_design.py",
+    "test_geometry_even.py", "test_pipeline.py", "test_workbench.py", "test_workbench_library.py", "test_fem_krylov.py",
     "test_verification.py", "test_validation.py",  # short, but last in the alphabet
 )  # fmt: skip
 

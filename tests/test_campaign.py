@@ -341,6 +341,7 @@ def test_ctrl_c_waits_for_processes_that_start_or_end(moment: str, monkeypatch: 
 
 
 @pytest.mark.filterwarnings("ignore")  # Dask's own
+@pytest.mark.slow
 def test_dask_processes_here_and_by_address(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     file = made(tmp_path, '[grid]\n"device.spacing" = [0.03, 0.04]\n')

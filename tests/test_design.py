@@ -154,6 +154,7 @@ def test_a_search_that_was_interrupted_goes_on_to_the_same_front(tmp_path):
         assert (tmp_path / "whole" / name).is_file()
 
 
+@pytest.mark.slow
 def test_a_variable_that_changes_nothing_is_named(tmp_path):
     """Waves do not hear of the accuracy asked for; a variable that matters is not named beside it."""
     idle = '[[variables]]\nkey = "accuracy"\nvalues = [0.1, 0.2]\n'

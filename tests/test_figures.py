@@ -253,6 +253,7 @@ def test_waves_are_looked_at_from_an_actuator_that_touches(folder: Path) -> None
     assert not np.allclose(found.values, line(Results.open(folder), (4e-3, 8e-3, 12e-3)).values, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_simulated_against_measured_needs_a_measured_matrix(run: Results, folder: Path, tmp_path: Path) -> None:  # noqa: F811
     with pytest.raises(DataError, match=r"measured\.nc is missing"):
         make_figures(folder, tmp_path, only=["measured"])

@@ -39,6 +39,7 @@ def middles(mesh):
     return mesh.points[mesh.bends.edges].mean(axis=1) + mesh.bends.offsets
 
 
+@pytest.mark.slow
 def test_edges_that_refinement_bisects_far_from_a_rim_get_their_middle_on_the_skin():
     """On chords of facets of 0.5 rad vertices lay up to 1.4 mm below it."""
     limb = {"shape": "cylinder", "layers": [], "length": 0.08}

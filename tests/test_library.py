@@ -453,6 +453,7 @@ def test_a_library_that_was_ended_goes_on_to_the_same_to_the_bit(slab, library, 
     assert np.abs(resumed.limb.between(at, every) - whole).max() < 0.01 * np.abs(whole).max()
 
 
+@pytest.mark.slow
 def test_a_library_states_the_seconds_of_all_calls(slab, library, tmp_path, monkeypatch):
     """The second call finds its part in the cache; that took hours of the first one's."""
     monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))

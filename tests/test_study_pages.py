@@ -195,6 +195,7 @@ def test_a_whole_session_in_a_browser_by_keys_and_clicks(browser, session):
     assert [r["response"] for r in rows] == [t.target for t in plan]
 
 
+@pytest.mark.slow
 def test_several_points_and_drawings_in_a_browser(browser, tmp_path):
     several = opened(tmp_path / "a", small(answer="several points"))
     with served(several) as (theirs, _):
@@ -252,6 +253,7 @@ def test_a_wrong_key_does_nothing(browser, session):
         page.close()
 
 
+@pytest.mark.slow
 def test_a_digit_that_begins_other_names_is_no_answer(browser, tmp_path):
     """Of twelve points, 1 would be the answer of who types 12; 5 begins no other name."""
     twelve = (*GRID, *(Port(str(n), "point", (0.02, 0.01 * (n - 11), 0.0)) for n in (10, 11, 12)))

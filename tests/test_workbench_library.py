@@ -103,6 +103,7 @@ def worst(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
 
 
 @needs_node
+@pytest.mark.slow
 def test_the_page_knows_discs_anywhere_within_what_it_states(arm: Stand) -> None:
     """An arrangement that none of its checks saw errs by no more than twice the worst of those five; the page's numbers
     are Python's own to the eight digits that it holds them with."""

@@ -324,6 +324,7 @@ def test_a_wav_becomes_the_stimulus(tab: Any, tmp_path: Path) -> None:
     assert strength(tab) == pytest.approx(wave, rel=1e-9)  # the same samples
 
 
+@pytest.mark.slow
 def test_another_file_of_the_same_name_is_another_stimulus(tab: Any, tmp_path: Path) -> None:
     """Its interval is drawn anew, and the scenario brings its own samples."""
     known: list[float] = []
@@ -434,6 +435,7 @@ def test_a_measured_page_offers_no_device_and_no_place_between(browser: Any, fla
     tab.close()
 
 
+@pytest.mark.slow
 def test_drawn_arms_are_stepped_through(browser: Any, drawn: tuple[Path, Any], tmp_path: Path) -> None:  # noqa: F811
     """By keys and buttons; points move, S changes, the skin between is said to be unknown."""
     page = tmp_path / "arms.html"
