@@ -199,6 +199,7 @@ def test_limbs_have_third_order_around_the_ports_unless_told_otherwise() -> None
     assert element_sizes(Scenario()).grid > 2 * element_sizes(parse_scenario({"mesh": {"element": "P2"}})).grid
 
 
+@pytest.mark.slow
 def test_a_slab_with_both_orders_agrees_with_the_twin() -> None:
     """300 Hz, elements of 3.6 mm (two a wave) between the ports: 0.0078 off, second order alone 0.19."""
     errors = {}

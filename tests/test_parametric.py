@@ -225,6 +225,7 @@ def test_what_was_finished_before_an_interruption_is_not_made_again(tmp_path, mo
     assert not list((tmp_path / "halting").rglob("*-parts.sqlite"))  # nothing is left beside the finished model
 
 
+@pytest.mark.slow
 def test_damaged_parts_are_made_again(tmp_path, monkeypatch):
     """Half of the columns of one step are gone: the space starts anew and comes out the same."""
     monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))

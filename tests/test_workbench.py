@@ -197,6 +197,7 @@ def test_poles_give_g_at_any_frequency_of_the_band_and_none_beyond(solved: Any) 
         asked(found, {"ask": "transferAt", "frequency": [500.0]})
 
 
+@pytest.mark.slow
 @needs_node
 def test_nine_actuators_have_pythons_g_and_s(tmp_path: Path) -> None:
     """A 3 x 3 device, its loop closed in the page: all other points are held, and damping follows G's error."""
