@@ -374,6 +374,7 @@ class _Reduced:
 
     @classmethod
     def of(cls, model: ReducedModel) -> _Reduced:
+        """Record of a model, as it is kept on file."""
         return cls(model.matrices, model.functionals, model.places)
 
 
