@@ -1,9 +1,13 @@
-"""Manners of results in a notebook: a line, a table, labelled arrays, a picture."""
+"""Manners of results in a notebook: a line, a table, labelled arrays, a picture, a file.
+
+The facade of the program: the one module that rooms above and below may import, and that loads them when asked.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -66,6 +70,21 @@ def plot_of_g(g: TransferMatrix) -> FigureBase:
     from .show.matrix import plot_transfer
 
     return plot_transfer(g)
+
+
+def save_g(g: TransferMatrix, path: str | Path) -> None:
+    """Write G in the format of the path's ending."""
+    from .files.read import save  # every format, which few need
+
+    save(path, g)
+
+
+def save_s(s: StrengthAccount, path: str | Path) -> None:
+    """Write ``signal_strength.csv``, as a run does."""
+    from .results.files import strength_rows, write_signal_strength_csv
+
+    rows = strength_rows(s.methods, s.targets, s.value, (s.low, s.high), s.record, s.window, grouped=False)
+    write_signal_strength_csv(path, rows)
 
 
 def line_of_s(s: StrengthAccount) -> str:

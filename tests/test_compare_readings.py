@@ -12,7 +12,7 @@ import pytest
 from test_measurement_scene import INPUTS, OUTPUTS, part, wave_matrix
 
 from forearm_fem.errors import DataError
-from forearm_fem.questions.compare.common import common_ground
+from forearm_fem.metrics.common_ground import common_ground
 from forearm_fem.questions.compare.compare import compare, comparison_record
 from forearm_fem.questions.compare.parameters import ScenarioModel, layered_compliance_of
 from forearm_fem.questions.compare.readings import best_reading, exchanged, explained

@@ -26,14 +26,9 @@ from forearm_fem.measurement.diagnostics import _lost, diagnose
 from forearm_fem.measurement.entry import bias_said, entry
 from forearm_fem.measurement.estimators import ExponentialSweep, estimate, excited, spectra
 from forearm_fem.measurement.recording import Recording
-from forearm_fem.measurement.run import (
-    VirtualSetup,
-    calibration_plan,
-    run_calibration,
-    virtual_device,
-)
 from forearm_fem.measurement.virtual import Faults, VirtualSensor, noise_for
 from forearm_fem.metrics import signal_strength
+from forearm_fem.questions.calibrate import VirtualSetup, calibration_plan, run_calibration, virtual_device
 from forearm_fem.questions.compare.compare import compare
 from forearm_fem.questions.compare.parameters import ScenarioModel, layered_compliance_of
 from forearm_fem.questions.compare.run import _biased

@@ -15,9 +15,9 @@ from forearm_fem.engines.notes import check_samples, sample_notes
 from forearm_fem.engines.simulation import account_of, render_transfer
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
 from forearm_fem.measurement.entry import noise_estimate
+from forearm_fem.metrics.common_ground import common_ground
 from forearm_fem.metrics.strength import strength_text, without_bound
 from forearm_fem.ports import Port
-from forearm_fem.questions.compare.common import common_ground
 from forearm_fem.questions.compare.crossplay import cross_play
 from forearm_fem.questions.compare.run import run_compare
 from forearm_fem.questions.predict.run import Question, check_question

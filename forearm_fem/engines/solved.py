@@ -25,7 +25,7 @@ from ..geometry.device.place import place_ports
 from ..geometry.mesh.quality import Resolution
 from ..geometry.mesh.tissue_mesh import TissueMesh, skin_edges
 from ..progress import Progress, tell, within
-from ..results import SolutionRecord
+from ..results.run import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.limb import SlabLimb
 from ..scenario.shipped import contents, law_files

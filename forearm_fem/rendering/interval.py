@@ -98,12 +98,7 @@ class StrengthAccount:
 
     def save(self, path: str | Path) -> None:
         """Write ``signal_strength.csv``, as a run does."""
-        from ..store.results import strength_rows, write_signal_strength_csv
-
-        rows = strength_rows(
-            self.methods, self.targets, self.value, (self.low, self.high), self.record, self.window, grouped=False
-        )
-        write_signal_strength_csv(path, rows)
+        notebook.save_s(self, path)
 
     def as_json(self) -> dict[str, Any]:
         """By method and target, in plain numbers; None where unknown."""

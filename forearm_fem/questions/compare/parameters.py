@@ -19,7 +19,7 @@ from ...engines.layered import flat_disc, flat_layers, flat_surface
 from ...engines.parametric import ParametricModel, parametric_model
 from ...errors import ScenarioError
 from ...geometry.device.layout import layers_of
-from ...layered import Layer, layered_compliance
+from ...layered import layered_compliance
 from ...layered.response import scattered_orders
 from ...ports import Port
 from ...progress import Progress
@@ -172,7 +172,7 @@ def layered_compliance_of(
         ports = (*(Port(p.name, "contact", p.position, p.axis, cone.radius, cone.contact) for p in inputs), *outputs)
         discs = [flat_disc(port) for port in ports]
         result = layered_compliance(
-            layers_from(scenario), 2 * np.pi * frequency, discs[: len(inputs)], discs,
+            flat_layers(scenario), 2 * np.pi * frequency, discs[: len(inputs)], discs,
             surface=flat_surface(scenario.tissues), tolerance=tolerance, terms=_TERMS,
             orders=max(scattered_orders(discs) - _FEWER, 0),
         )  # fmt: skip
@@ -245,15 +245,6 @@ def _pool(scenario: Scenario, parameters: Sequence[Parameter]) -> list[Scenario]
 
 def _never(scenario: Scenario) -> Compliance:
     raise AssertionError(f"{scenario.name} is not solved here")
-
-
-def layers_from(scenario: Scenario) -> tuple[Layer, ...]:
-    """The scenario's layers on a half-space of its core tissue; ScenarioError for a limb without layers."""
-    if not layers_of(scenario.limb) or not isinstance(getattr(scenario.limb, "core", None), str):
-        raise ScenarioError(
-            "limb: the layered twin needs a parametric limb with layers and a core; fit on finite elements with --fem"
-        )
-    return tuple(flat_layers(scenario))
 
 
 def common_parameters(scenario: Scenario, names: Sequence[str]) -> tuple[Parameter, ...]:

@@ -16,15 +16,15 @@ from ...errors import DataError, ForearmError
 from ...files.declaration import Declaration, arbitrary_gain, declared_by
 from ...files.read import read
 from ...geometry.device.layout import planform_ports
+from ...metrics.common_ground import common_ground
 from ...ports import Port
 from ...progress import Progress, tell, within
+from ...results.files import write_transfer
 from ...scenario import Scenario
 from ...store.folder import check_kind, set_kind, write_text
-from ...store.results import write_transfer
 from ...store.text import plain
 from ...transfer import UNITS, ErrorEstimate, TransferMatrix
 from ..predict.arm import as_wrong
-from .common import common_ground
 from .compare import Comparison, compare
 from .fit import DELAY, FALLBACK_NOISE, SCALE, FitResult, fit, moved_by, with_model_error, with_scattered_error
 from .next_best import NextBest, next_best
