@@ -32,7 +32,7 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import positions
 from ..progress import Progress, tell, within
 from ..rendering import Rendering
-from ..rendering.interval import StrengthAccount, finer_than_known
+from ..rendering.interval import Strength, finer_than_known
 from ..rendering.job import RenderJob, check_servable, wavelet
 from ..rendering.lattice import is_thesis_grid
 from ..rendering.limits import counted_points
@@ -104,7 +104,7 @@ class Run:
     mesh: MeshRecord = field(default_factory=MeshRecord)
     solution: SolutionRecord = field(default_factory=SolutionRecord)
     rendering: Rendering | None = None
-    account: StrengthAccount | None = None
+    account: Strength | None = None
     record: RunRecord | None = None
     known: dict[str, Any] = field(default_factory=dict)
     asked: str = ""  # the scenario as a command names it, with what it sets

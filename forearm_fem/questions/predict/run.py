@@ -19,7 +19,7 @@ from ...errors import AccuracyWarning, ForearmError, ScenarioError
 from ...fem.kernels.compiled import freed_memory_kept
 from ...geometry.device.layout import planform_ports
 from ...progress import Progress, tell, within
-from ...rendering.interval import StrengthAccount
+from ...rendering.interval import Strength
 from ...rendering.job import RenderJob, check_servable, wavelet
 from ...rendering.lattice import is_thesis_grid
 from ...rendering.limits import counted_points
@@ -77,7 +77,7 @@ class Prediction:
     """
 
     question: Question
-    nominal: StrengthAccount
+    nominal: Strength
     draws: Draws
     model: str
     left_out: str
@@ -195,7 +195,7 @@ def expanded(held: Collection[str], scenario: Scenario) -> frozenset[str]:
     return frozenset({*names, *each, *({"tissue"} & set(held))})
 
 
-def _nominal(question: Question, progress: Progress | None) -> tuple[StrengthAccount, tuple[ErrorEstimate, ...]]:
+def _nominal(question: Question, progress: Progress | None) -> tuple[Strength, tuple[ErrorEstimate, ...]]:
     """The scene's own S with its interval, and what its G errs by."""
     scenario, base = question.scenario, question.base
     with warnings.catch_warnings():
