@@ -9,6 +9,7 @@ from __future__ import annotations
 import secrets
 import tomllib
 from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import Any
 
 from ..errors import DataError, ForearmError, MissingExtra, ScenarioError, optional
 from ..ports import Port
-from .session import Given, Session
+from .session import Session
 
 LANGUAGES = ("en", "de", "nl")
 Act = Callable[[Mapping[str, Any]], None]
@@ -57,15 +58,9 @@ def _language(name: str) -> dict[str, str]:
 
 
 def application(
-    session: Session,
-    grid: tuple[Port, ...],
-    words: Mapping[str, str],
-    keys: Secrets,
-    *,
-    beep: bool,
-    hosts: tuple[str, ...],
-    levels: str = "",
-) -> Any:
+    session: Session, grid: tuple[Port, ...], words: Mapping[str, str], keys: Secrets, *, beep: bool,
+    hosts: tuple[str, ...], levels: str = "",
+) -> Any:  # fmt: skip
     """The web application of one session, for an ASGI server; MissingExtra without starlette.
 
     ``levels`` is what the experimenter is told of how strong methods are.
@@ -80,12 +75,8 @@ def application(
 
     leader, subject = frozenset({keys.experimenter}), frozenset({keys.participant})
     both = leader | subject
-    scene = {
-        "words": dict(words),
-        "beep": beep,
-        "consent": session.consent_text,
-        "grid": [{"name": p.name, "x": p.position[0], "y": p.position[1]} for p in grid],
-    }
+    points = [{"name": p.name, "x": p.position[0], "y": p.position[1]} for p in grid]
+    scene = {"words": dict(words), "beep": beep, "consent": session.consent_text, "grid": points}
     reads: Mapping[str, tuple[frozenset[str], Callable[[str], str | dict[str, Any]]]] = {
         "/p/{key}": (subject, lambda _: _page("participant")),
         "/e/{key}": (leader, lambda _: _page("experimenter")),
@@ -96,15 +87,13 @@ def application(
         "consent": (subject, lambda _: session.consent()),
         "start": (both, lambda _: session.start()),
         "present": (subject, lambda _: session.present()),
-        "answer": (subject, lambda body: session.answer(given(body))),
+        "answer": (subject, lambda body: session.answer(*_given(body))),
         "pause": (leader, lambda _: session.pause()),
         "repeat": (leader, lambda _: session.repeat()),
     }
     routes = [Route(path, _shown(who, content)) for path, (who, content) in reads.items()]
-    routes += [
-        Route(f"/api/{{key}}/{name}", _done(session, who, do, hosts), methods=["POST"])
-        for name, (who, do) in acts.items()
-    ]
+    for name, (who, do) in acts.items():
+        routes.append(Route(f"/api/{{key}}/{name}", _done(session, who, do, hosts), methods=["POST"]))
     names = [h.partition(":")[0] for h in hosts]
     return Starlette(routes=routes, middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=names)])
 
@@ -169,28 +158,19 @@ def _key(request: Any, who: frozenset[str]) -> str:
     return found if any([secrets.compare_digest(found.encode(), key.encode()) for key in who]) else ""
 
 
+_INLINE = "script-src 'unsafe-inline'; style-src 'unsafe-inline'"
 _HEADERS = {
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": (
-        "default-src 'self'; img-src data:; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
-    ),
-    "X-Frame-Options": "DENY",
-    "Referrer-Policy": "no-referrer",
-}
+    "Content-Security-Policy": f"default-src 'self'; img-src data:; {_INLINE}",
+    "Cache-Control": "no-store", "X-Frame-Options": "DENY", "Referrer-Policy": "no-referrer",
+}  # fmt: skip
 
 
-def given(body: Mapping[str, Any]) -> Given:
-    """An answer from JSON: ``points`` (names) or ``outline`` ([[x, y], ...] in metres), and ``answered``, how many
-    trials were over when the page asked."""
-    import numpy as np
-
-    seen = None if body.get("answered") is None else int(body["answered"])
-    if "outline" in body:
-        return Given(strokes=np.asarray(body["outline"], dtype=float), answered=seen)
-    points = body["points"]
+def _given(body: Mapping[str, Any]) -> tuple[tuple[str, ...], int | None]:
+    """Names of ``points`` from JSON, and ``answered``, how many trials were over when the page asked."""
+    points, answered = body["points"], body.get("answered")
     if not isinstance(points, list) or len(points) > 1000:
         raise DataError("points: expected a list of grid points")
-    return Given(points=tuple(str(p) for p in points), answered=seen)
+    return tuple(str(p) for p in points), None if answered is None else int(answered)
 
 
 def addresses(host: str) -> tuple[str, ...]:
@@ -200,12 +180,9 @@ def addresses(host: str) -> tuple[str, ...]:
     if host not in ("0.0.0.0", ""):
         return (host,)
     own = [str(info[4][0]) for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:  # asks the routing table; sends nothing
-        try:
-            probe.connect(("192.0.2.1", 9))
-            own.insert(0, str(probe.getsockname()[0]))
-        except OSError:
-            pass
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
+        probe.connect(("192.0.2.1", 9))  # asks the routing table; sends nothing
+        own.insert(0, str(probe.getsockname()[0]))
     others = [a for a in own if not a.startswith("127.")]
     return tuple(dict.fromkeys((*others, socket.gethostname().lower(), *own)))
 
