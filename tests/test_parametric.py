@@ -27,7 +27,6 @@ from forearm_fem.questions.compare.fit import fit
 from forearm_fem.questions.compare.parameters import (
     ScenarioModel,
     common_parameters,
-    fem_compliance_of,
     fem_meshes_for,
     fem_model_for,
 )
@@ -689,7 +688,7 @@ def test_a_fit_recovers_an_arm_of_finite_elements(model):
     scene, names = parse_scenario(SCENE), ("skin.mu", "fat.mu", "muscle.eta")
     chosen = common_parameters(scene, names)
     true = {p.name: p.start * factor for p, factor in zip(chosen, (1.4, 0.7, 1.25), strict=True)}
-    answer = ScenarioModel(scene, fem_compliance_of(model, PROBES))
+    answer = ScenarioModel(scene, model, PROBES)
     arm = answer.scenario(true)
     clean = close_loop(model.compliance(arm, PROBES), arm.device)
     values = fem_transfer(arm)
@@ -716,7 +715,7 @@ def test_intervals_of_a_fit_hold_what_the_reduction_errs_by(model, monkeypatch):
     monkeypatch.setattr("forearm_fem.questions.compare.run.fem_model_for", made)
     whole = run_fit(scene, data, names, fem=True)
     noise, coarse = (
-        fit(ScenarioModel(scene, fem_compliance_of(m, PROBES)), data, chosen) for m in (model, model.coarser)
+        fit(ScenarioModel(scene, m, PROBES), data, chosen) for m in (model, model.coarser)
     )
     for p in chosen:
         own, moved = np.log(noise.interval[p.name][1] / noise.values[p.name]), np.log(coarse.values[p.name] / p.start)
