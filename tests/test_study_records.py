@@ -9,6 +9,8 @@ import os
 import shutil
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 
 import numpy as np
@@ -25,7 +27,7 @@ from forearm_fem.scenario.measurement import DaqOptions  # noqa: E402
 from forearm_fem.study.handover import answers  # noqa: E402
 from forearm_fem.study.plan import Order, Stimuli, Task  # noqa: E402
 from forearm_fem.study.report import write_analysis  # noqa: E402
-from forearm_fem.study.run import known_of  # noqa: E402
+from forearm_fem.study.run import _due, known_of  # noqa: E402
 from forearm_fem.study.session import Session  # noqa: E402
 from forearm_fem.study.store import StudyStore  # noqa: E402
 from forearm_fem.transfer import TransferMatrix  # noqa: E402
@@ -159,30 +161,20 @@ def test_withdrawal_takes_what_an_analysis_made_of_the_answers(answered):
 
 
 def test_people_who_enrol_at_the_same_moment_get_places_of_their_own(tmp_path):
-    """Two processes at once, tasks balanced: each sits down to the task of its own place. Without the lock the pause
-    gave both the first one."""
-    code = (
-        "import sys, time; sys.path.insert(0, sys.argv[2]); import test_study_session as t\n"
-        "from forearm_fem.study.run import _due\n"
-        "store = t.StudyStore.open(sys.argv[1], t.study(order=t.Order(tasks='balanced')))\n"
-        "print('ready', flush=True); sys.stdin.readline()\n"
-        "with store.locked():\n"
-        "    task = _due(store, sys.argv[3], None)\n"
-        "    time.sleep(0.2)\n"
-        "    store.enrol(sys.argv[3], consent='2026-11-24')\n"
-        "print(store.place(sys.argv[3]), task.name)"
-    )
-    command = [sys.executable, "-c", code, str(tmp_path), os.path.dirname(__file__)]
-    StudyStore.open(tmp_path, study(order=Order(tasks="balanced")))
-    every = [subprocess.Popen([*command, f"p{k}"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-             for k in range(2)]  # fmt: skip
-    for each in every:
-        assert each.stdout.readline() == "ready\n"
-    for each in every:
-        each.stdin.write("go\n")
-        each.stdin.flush()
-    said = [each.communicate()[0].split() for each in every]
-    assert sorted(said) == [["1", "identification"], ["2", "confidence"]]
+    """Two at once, tasks balanced: each sits down to the task of the own place. Without the lock the pause gave both the
+    first one. The lock is the operating system's, on a file, so that threads stand for processes."""
+
+    def sit(who):
+        store = StudyStore.open(tmp_path, plan)
+        with store.locked():
+            task = _due(store, who, None)
+            time.sleep(0.1)
+            store.enrol(who, consent="2026-11-24")
+        return store.place(who), task.name
+
+    StudyStore.open(tmp_path, plan := study(order=Order(tasks="balanced")))
+    with ThreadPoolExecutor(2) as pool:
+        assert sorted(pool.map(sit, ("anna", "berta"))) == [(1, "identification"), (2, "confidence")]
 
 
 def test_a_second_process_is_told_who_holds_the_participant(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib import resources
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal
@@ -55,47 +56,6 @@ Foreign = Annotated[
                  "in place of our own sessions': a file or folder, repeatable"),
 ]  # fmt: skip
 
-_TEMPLATE = """# A study: every key is optional but name and scenario. `forearm-fem study run {name}.toml` runs it.
-name = "{name}"
-scenario = {scenario}                                # device, wavelet, limits
-transfer = "calibration/{{participant}}/transfer.nc"     # each participant's calibrated G
-participants = 20
-language = "en"                                         # en, de, nl, or a TOML file of texts
-# consent = "consent.txt"                               # a text to be agreed to on the page; else --consent DATE
-
-[stimuli]
-methods = ["inverse filter", "funneling", "combination"]
-targets = ["1", "2", "3", "4", "5", "6", "7", "8", "9"]
-levels = "equal at target"                              # or "as rendered", a table of dB, or a CSV of a matching task
-# peak = 1.0                                            # of equal levels: of the wavelet at the target [um]
-
-[order]
-seed = 0
-methods = "mixed"                                       # or "one after the other"
-tasks = "fixed"                                         # or "balanced"
-no_target_twice = true
-
-[analysis]                                              # fixed once the first participant is enrolled
-correction = "holm"                                     # or "bonferroni"
-sphericity = "Greenhouse-Geisser"                       # or "Huynh-Feldt"
-alpha = 0.05
-
-[[tasks]]                                               # study 1 of de Vlam 2022: 3 methods x 9 targets x 3 = 81 trials
-name = "identification"
-answer = "one point"
-repetitions = 3
-blocks = 3
-training = 1
-
-[[tasks]]                                               # study 2: as many points as are felt
-name = "confidence"
-answer = "several points"
-repetitions = 3
-blocks = 3
-training = 1
-"""
-
-
 @app.command()
 def new(
     name: Annotated[str, typer.Argument(help="letters, digits and hyphens")],
@@ -119,7 +79,8 @@ def new(
         raise ScenarioError(f"{file} exists already; take another name or remove it")
     asked = load_scenario(scenario_beside(folder, scenario))
     g = measured_g(transfer, asked, declare, "--transfer")
-    write_text(file, _TEMPLATE.format(name=name, scenario=json.dumps(scenario, ensure_ascii=False)))
+    text = resources.files("forearm_fem.study").joinpath("pages/study.toml").read_text(encoding="utf-8")
+    write_text(file, text.replace("@name@", name).replace("@scenario@", json.dumps(scenario, ensure_ascii=False)))
     typer.echo(str(file))
     if g is None:
         typer.echo("levels: equal at target; --transfer G says by how much methods differ as rendered")

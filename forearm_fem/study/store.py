@@ -12,6 +12,7 @@ import hashlib
 import io
 import json
 import os
+import re
 import shutil
 import socket
 from collections.abc import Iterator, Mapping, Sequence
@@ -223,8 +224,8 @@ def _dictionary(columns: Mapping[str, str], facts: Mapping[str, str] | None = No
     """A data dictionary in the manner of BIDS: ``facts``, and description and unit of each column."""
     told: dict[str, Any] = dict(facts or {})
     for name, text in columns.items():
-        unit = text.rpartition("[")[2].partition("]")[0] if text.partition(";")[0].endswith("]") else ""
-        told[name] = {"Description": text} | ({"Units": unit} if unit else {})
+        unit = re.search(r"\[(.*?)\](?:;|$)", text)
+        told[name] = {"Description": text} | ({"Units": unit[1]} if unit else {})
         told[name] |= {"Format": "number"} if name in _NUMBERS else {}
     return json.dumps(told, indent=2, ensure_ascii=False)
 
