@@ -161,8 +161,8 @@ def test_withdrawal_takes_what_an_analysis_made_of_the_answers(answered):
 
 
 def test_people_who_enrol_at_the_same_moment_get_places_of_their_own(tmp_path):
-    """Two at once, tasks balanced: each sits down to the task of the own place. Without the lock the pause gave both the
-    first one. The lock is the operating system's, on a file, so that threads stand for processes."""
+    """Two at once, tasks balanced: each sits down to the task of the own place. Without the lock the pause gave both
+    the first one. The lock is the operating system's, on a file, so that threads stand for processes."""
 
     def sit(who):
         store = StudyStore.open(tmp_path, plan)
