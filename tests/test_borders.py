@@ -41,6 +41,8 @@ from forearm_fem.show.report import _twin, thesis_fit
 from forearm_fem.study.plan import load_study
 from forearm_fem.transfer import TransferMatrix
 
+pytestmark = pytest.mark.drawn
+
 
 def test_what_the_system_refuses_is_a_sentence_wherever_it_comes_up(tmp_path: Path) -> None:
     for arguments in (("run", "x" * 300), ("run", "thesis", "--dry-run", "--out", "y" * 300)):

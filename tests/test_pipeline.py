@@ -26,7 +26,6 @@ from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.transfer import Compliance
 from forearm_fem.verification.scenes import held_block
 
-pytestmark = pytest.mark.usefixtures("blank_pictures")
 TINY = {
     "name": "tiny",
     "accuracy": 0.5,

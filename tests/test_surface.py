@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from cli_runner import SMALL as SHORT
 from cli_runner import cli
 
-from forearm_fem import Law, Simulation, load_scenario, predict, read, render, simulate
+from forearm_fem import Law, Simulation, load_scenario, read, render, simulate
 from forearm_fem.engines.engine import Engine
 from forearm_fem.engines.layered import LayeredEngine
 from forearm_fem.engines.solved import FemEngine
@@ -19,6 +20,7 @@ from forearm_fem.questions.compare.parameters import common_parameters
 from forearm_fem.questions.design.candidate import TwinArm
 from forearm_fem.questions.predict.arm import LayeredArm
 from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of
+from forearm_fem.questions.predict.run import Question, check_question, predict
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.shipped import contents, law_files, named_files
 from forearm_fem.tissue import SpringPot, Zener, resolve_tissues
@@ -90,10 +92,10 @@ def test_s_of_a_g_read_from_a_file_is_s_of_the_simulation(simulation: Simulation
     assert np.array_equal(again.high, simulation.strength.high)
 
 
-def test_a_renderer_of_one_s_own_runs_from_a_scenario(home: Path, tmp_path: Path):
+def test_a_renderer_of_one_s_own_runs_from_a_scenario(home: Path, simulation: Simulation, tmp_path: Path):
     text = SMALL.replace("[rendering]", '[rendering]\nmethods = ["mine:Loudest", "funneling"]')
     (home / "loud.toml").write_text(text)
-    found = simulate(load_scenario(home / "loud.toml")).strength
+    found = replace(simulation, scenario=load_scenario(home / "loud.toml")).strength
     assert found.methods == ("all alike", "funneling")
     assert np.isfinite(found.value).all()
     assert (found.high > found.low).all()
@@ -119,7 +121,8 @@ def test_arms_are_drawn_of_a_law_of_one_s_own(home: Path, tmp_path: Path, monkey
     (tmp_path / "stiffening.py").write_text(code)
     (tmp_path / "silent.py").write_text(code.replace("    drawn =", "    said ="))
     scenario = load_scenario(tmp_path / "here.toml")
-    found = predict(scenario, base=tmp_path, draws=2, laws=("stiffening:Stiffening",), workers=1)
+    question = Question(scenario, tmp_path, laws=("stiffening:Stiffening",))
+    found = predict(question, tmp_path / "out", draws=2, workers=1)
     assert {law.rpartition(":")[2] for law in found.draws.laws} == {"Stiffening"}
     assert np.isfinite(found.draws.strengths).all()
     assert {"skin stiffness", "skin loss"} <= set(found.draws.names)
@@ -128,7 +131,7 @@ def test_arms_are_drawn_of_a_law_of_one_s_own(home: Path, tmp_path: Path, monkey
     assert (drawn["skin"].modulus.mu, drawn["skin"].modulus.loss) == (draw.values["skin.mu"], draw.values["skin.loss"])
     assert drawn["fat"] == resolve_tissues(scenario)["fat"]  # the class says nothing of fat
     with pytest.raises(ScenarioError, match="how arms differ"):
-        predict(scenario, base=tmp_path, draws=3, laws=("silent:Stiffening",))
+        check_question(Question(scenario, tmp_path, laws=("silent:Stiffening",)))
 
 
 def test_an_engine_of_one_s_own_answers_for_a_scenario(home: Path, simulation: Simulation, tmp_path: Path):
@@ -201,7 +204,7 @@ def test_series_that_a_law_need_not_give(law: Zener | SpringPot, omega: float):
 
 
 @pytest.mark.parametrize(("code", "said"), [("none:Loudest", "no module"), ("mine:Softest", "has no Softest")])
-def test_code_that_is_not_there_is_said(home: Path, code: str, said: str):
+def test_code_that_is_not_there_is_said(home: Path, simulation: Simulation, code: str, said: str):
     (home / "wrong.toml").write_text(SMALL.replace("[rendering]", f'[rendering]\nmethods = ["{code}"]'))
     with pytest.raises(ScenarioError, match=said):
-        simulate(load_scenario(home / "wrong.toml")).strength  # noqa: B018
+        replace(simulation, scenario=load_scenario(home / "wrong.toml")).strength  # noqa: B018
