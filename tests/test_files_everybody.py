@@ -17,7 +17,7 @@ from bad_files import CORNERS, TETRA
 from bad_meshes import NUMBERS, REST
 from cli_runner import cli
 from lab_files import tdms, uff
-from scipy.io import wavfile
+from scipy.io import savemat, wavfile
 from test_measurement_scene import INPUTS, OUTPUTS, device_for, part, plan_for, wave_matrix
 
 from forearm_fem import files
@@ -258,6 +258,9 @@ def sweeps(folder: Path, kind: str) -> Path:
         step = 1 / taken.sample_rate
         if kind == "tdms":
             tdms(file, {"drive": drive, "laser": response}, taken.sample_rate)
+        elif kind == "mat":
+            clock = np.arange(len(drive))[:, None] * step
+            savemat(file, {"t": clock, "drive": drive[:, None], "laser": response, "note": "x"})
         elif kind == "wav":
             wavfile.write(file, round(taken.sample_rate), np.column_stack([drive, response]))
         elif kind == "csv":
@@ -275,7 +278,7 @@ def sweeps(folder: Path, kind: str) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("kind", ["tdms", "wav", "csv", "lvm"])
+@pytest.mark.parametrize("kind", ["tdms", "wav", "csv", "lvm", "mat"])
 def test_a_folder_of_raw_sweeps_becomes_its_g(tmp_path, kind):
     """The virtual lab's own G, which the sweeps were played through; without noise an estimator is exact to rounding
     of the file's digits."""
@@ -288,6 +291,32 @@ def test_a_folder_of_raw_sweeps_becomes_its_g(tmp_path, kind):
     known = g.valid
     assert known.mean() > 0.9
     assert np.abs(g.values - truth)[known].max() < 2e-3 * np.abs(truth).max()  # the virtual converter has 16 bits
+
+
+def test_sweeps_in_newtons_and_millimetres_a_second_need_no_sensor(tmp_path):
+    """The same sweeps scaled by the lab: what a volt means is then the file's; a force makes m/N of m/V."""
+    sensor = LAB.measurement.sensor
+    assert sensor.quantity == "velocity"
+    volts, scaled = sweeps(tmp_path / "volts", "tdms"), tmp_path / "scaled"
+    scaled.mkdir()
+    for file in volts.iterdir():
+        channels = {c.split("/")[1]: w.samples for c, w in files.sweeps.waveforms(file, Declaration()).items()}
+        clock = np.arange(len(channels["drive"])) / LAB.sweep.sample_rate
+        columns = np.column_stack([clock, channels["drive"], channels["laser"] / sensor.sensitivity * 1e3])
+        header = "time,force [N],laser (mm/s)"
+        np.savetxt(scaled / f"{file.stem}.csv", columns, "%.17g", ",", header=header, comments="")
+    bare = LAB.changed({"measurement.sensor.sensitivity": None, "measurement.sensor.quantity": None})
+    said = Declaration(drive="sweep/drive", response="sweep/laser")
+    own = Declaration(drive="force [N]", response="laser (mm/s)")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecognitionWarning)
+        expected, g = files.read(volts, said, scenario=LAB), files.read(scaled, own, scenario=bare)
+        with pytest.raises(DataError, match="its response is velocity by its unit"):
+            files.read(scaled, own, scenario=LAB.changed({"measurement.sensor.quantity": "displacement"}))
+        with pytest.raises(DataError, match=r"'laser \(mm/s\)' is in 'mm/s', expected volts or newtons"):
+            files.read(scaled, own.model_copy(update={"drive": "laser (mm/s)"}), scenario=bare)
+    assert (expected.unit, g.unit) == ("m/V", "m/N")
+    assert np.allclose(g.values, expected.values, rtol=1e-9, equal_nan=True)  # clocks are printed in 17 digits
 
 
 def test_sweeps_that_begin_in_silence_say_so(tmp_path):
