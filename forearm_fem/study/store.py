@@ -183,7 +183,8 @@ class StudyStore:
             who = holder.read_text(encoding="utf-8") if holder.exists() else "another process"
             raise DataError(f"sub-{participant}: {who} holds this participant's session; end it, or wait") from None
         try:
-            holder.write_text(f"process {os.getpid()} on {socket.gethostname()}, since {datetime.now(UTC):%Y-%m-%d %H:%M} UTC,", encoding="utf-8")
+            since = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
+            holder.write_text(f"process {os.getpid()} on {socket.gethostname()}, since {since},", encoding="utf-8")
             yield
         finally:
             holder.unlink(missing_ok=True)
