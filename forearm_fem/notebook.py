@@ -63,9 +63,9 @@ def xarray_of_g(g: TransferMatrix | Compliance) -> xr.DataArray:
 
 def plot_of_g(g: TransferMatrix) -> FigureBase:
     """Size and phase of each entry, within its stated error."""
-    from .show.matrix import plot_transfer
+    from .show.matrix import plot_transfer, transfer_of
 
-    return plot_transfer(g)
+    return plot_transfer(transfer_of(g))
 
 
 def line_of_s(s: StrengthAccount) -> str:
