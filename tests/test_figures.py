@@ -54,6 +54,8 @@ from forearm_fem.store.text import write_json
 from forearm_fem.tissue import KelvinVoigt, resolve_tissues
 from forearm_fem.transfer import ErrorEstimate, entry_errors
 
+pytestmark = pytest.mark.drawn
+
 
 @pytest.fixture(scope="module")
 def run(folder: Path) -> Results:  # noqa: F811

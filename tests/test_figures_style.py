@@ -7,6 +7,8 @@ from matplotlib.figure import Figure
 from forearm_fem.show.style import _behind, clear_legends
 from forearm_fem.show.targets import moments
 
+pytestmark = pytest.mark.drawn
+
 
 def test_a_legend_hides_no_curve():
     """Room is made above the curves, on both kinds of scale."""
