@@ -76,4 +76,5 @@ def carried(estimate: ErrorEstimate, frequency: FloatArray, shorter: FloatArray,
         frequency=tuple(frequency.tolist()),
         per_frequency=tuple(error.tolist()),
         per_pair=None if pairs is None else pairs * (beyond * below)[:, None, None],
+        together=None,
     )
