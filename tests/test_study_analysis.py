@@ -21,6 +21,8 @@ from forearm_fem.study.analysis import analyse, cells, confusion, ellipses, with
 from forearm_fem.study.plan import Analysis, Study, Task  # noqa: E402
 from forearm_fem.study.report import write_analysis  # noqa: E402
 
+pytestmark = pytest.mark.drawn
+
 PLACES = np.array([p.position[:2] for p in GRID])
 NAMES = [p.name for p in GRID]
 
