@@ -222,8 +222,8 @@ class TransferMatrix:
             for part in (e.per_pair, e.together):
                 if part is not None and part.shape != wanted:
                     raise DataError(
-                        f"the error by {e.source} is of pairs {part.shape}, G's are {wanted}; take the same pairs of its "
-                        "per_pair and together, or None"
+                        f"the error by {e.source} is of pairs {part.shape}, G's are {wanted}; take the same pairs of "
+                        "its per_pair and together, or None"
                     )
 
     def __repr__(self) -> str:
