@@ -221,6 +221,22 @@ def test_arrays_of_numpy_and_hdf5(tmp_path):
         read(tmp_path / "p.npy", axes)
 
 
+def test_of_one_point_and_one_actuator_nothing_is_to_be_told(tmp_path):
+    """A vector beside its frequencies, whatever the file is called; its two axes of length 1 are either way round."""
+    ports = (OUTPUTS[:1], INPUTS[:1])
+    savemat(tmp_path / "run.mat", {"Hf": G.values[:, 0, 0], "Coh": np.ones(20), "Freq_domain": G.frequency})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecognitionWarning)
+        assert np.array_equal(files.read(tmp_path / "run.mat", SAID, ports=ports).values[:, 0, 0], G.values[:, 0, 0])
+    (tmp_path / "lab").mkdir()
+    for port in INPUTS[:2]:
+        np.savez(tmp_path / "lab" / f"{port.name}.npz", H=G.values[:, :1, :1], f=G.frequency)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecognitionWarning)
+        both = files.read(tmp_path / "lab", SAID, ports=(OUTPUTS[:1], INPUTS[:2]))
+    assert both.valid is None
+
+
 def test_responses_in_time_are_filled_up_with_zeros(tmp_path):
     """Zeros behind a response that has died away are more frequencies of the same transform."""
     h = np.random.default_rng(0).standard_normal((50, 2, 2))
