@@ -108,21 +108,23 @@ def in_r(analysis: Path) -> list[str]:
     if shutil.which("Rscript") is None:
         return ["\nR is not installed here, so that its scripts were not run."]
     worst: dict[str, float] = {}
-    same = {"F": "F", "num.Df": "df", "den.Df": "df_error", "Pr..F.": "p", "pes": "partial_eta2", "ges":
-            "generalised_eta2", "estimate": "difference", "low": "low", "high": "high", "t.ratio": "t",
-            "p.corrected": "p"}  # fmt: skip
+    same = {
+        "anova": {"F": "F", "num.Df": "df", "den.Df": "df_error", "Pr..F.": "p", "pes": "partial_eta2",
+                  "ges": "generalised_eta2"},
+        "mauchly": {"w": "mauchly_w", "p": "mauchly_p"}, "normal": {"W": "W", "p": "p"},
+        "pairs": {"estimate": "difference", "low": "low", "high": "high", "t.ratio": "t", "p.corrected": "p"},
+    }  # fmt: skip
     for file in sorted(analysis.glob("*.R")):
         subprocess.run(["Rscript", file.name], cwd=analysis, check=True, capture_output=True)
-        for kind in ("anova", "pairs"):
+        for kind, columns in same.items():
             theirs = pd.read_csv(analysis / f"{file.stem}-r-{kind}.csv")
-            ours = pd.read_csv(analysis / f"{file.stem}-{kind}.csv")
+            ours = pd.read_csv(analysis / f"{file.stem}-{'anova' if kind == 'mauchly' else kind}.csv")
             theirs.columns = [re.sub(r"[^A-Za-z0-9_]", ".", c) for c in theirs.columns]
-            for name, column in same.items():
-                if name in theirs and column in ours:
-                    least = 1e-3 * ours[column].abs().max()  # differences of zero are rounding
-                    apart = (theirs[name] - ours[column]).abs() / ours[column].abs().clip(lower=least)
-                    key = f"{kind}, {column}"
-                    worst[key] = max(worst.get(key, 0.0), float(apart.max()))
+            for name, column in columns.items():
+                least = 1e-3 * ours[column].abs().max()  # differences of zero are rounding
+                apart = (theirs[name] - ours[column]).abs() / ours[column].abs().clip(lower=least)
+                key = f"{kind}, {column}"
+                worst[key] = max(worst.get(key, 0.0), float(apart.max()))
     rows = [f"| {name} | {value:.1e} |" for name, value in worst.items()]
     return ["\n## The same in R\n", "afex and emmeans, by the scripts that stand beside the report.\n",
             "| table, column | largest relative difference |\n|---|---|", *rows]  # fmt: skip

@@ -16,8 +16,6 @@ from cli_runner import SMALL, cli, leftovers
 from forearm_fem import __version__
 from forearm_fem.results.files import read_displacements, read_drives, read_signal_strength_csv, read_transfer
 
-pytestmark = pytest.mark.usefixtures("same_integrals_once")
-
 
 @pytest.fixture(scope="module")
 def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -61,7 +59,7 @@ def test_the_package_runs_as_the_program() -> None:
 def test_help_names_every_command() -> None:
     answer = cli("--help")
     names = ("run", "render", "calibrate", "daq", "compare", "fit", "figures", "workbench", "predict", "design",
-             "study", "new", "show", "verify", "campaign", "schema", "doctor")  # fmt: skip
+             "study", "new", "verify", "campaign", "schema", "doctor")  # fmt: skip
     assert answer.code == 0
     assert all(f" {name} " in answer.out for name in names)
 
@@ -274,13 +272,3 @@ def test_figures_without_results_says_how_to_make_them(scene: Path) -> None:
     answer = cli("figures", "results/small", cwd=scene)
     assert answer.code == 2
     assert "forearm-fem run" in answer.sentence
-
-
-@pytest.mark.parametrize(
-    ("what", "save", "says"),
-    [("nowhere", "a.png", "no such file"), ("small.toml", "a.png", "forearm-fem run"), (".", "a.tiff", ".png, .gif")],
-)
-def test_show_says_what_it_needs(scene: Path, what: str, save: str, says: str) -> None:
-    answer = cli("show", what, "--save", save, cwd=scene)
-    assert answer.code == 2
-    assert says in answer.sentence

@@ -28,9 +28,9 @@ def study(**changes):
     return Study(name="pilot", scenario="thesis.toml", **changes)
 
 
-def small(**task):
+def small(targets=("1", "5", "9"), **task):
     options = {"name": "places", "repetitions": 2, "blocks": 2, "training": 0, "break_seconds": 0.0, **task}
-    return study(stimuli=Stimuli(methods=("funneling",), targets=("1", "5", "9")), tasks=(Task(**options),))
+    return study(stimuli=Stimuli(methods=("funneling",), targets=targets), tasks=(Task(**options),))
 
 
 def silent(method, target):

@@ -246,7 +246,9 @@ def _write_solution(run: Run, simulation: Simulation) -> None:
         if carries_points(scenario.device):
             run.notes.append(_WITHOUT_SHARE)
     if simulation.solved is not None and simulation.solved.skin is not None:
-        save_skin_model(out / "reduced.nc", replace(simulation.solved.skin, scenario=scenario))
+        skin, of_g = simulation.solved.skin, ("discretisation", "truncation")
+        errors = (*simulation.compliance.errors, *(e for e in transfer.errors if e.source in of_g))
+        save_skin_model(out / "reduced.nc", replace(skin, scenario=scenario, errors=errors))
     if simulation.solved is not None:
         run.solution = simulation.solved.facts
     if (mesh := simulation.mesh) is not None:
@@ -274,7 +276,7 @@ def _remove_older(run: Run) -> None:
     if (figures := run.out / "figures").is_dir():
         from ..show import kinds
 
-        drawn = (p for p in figures.iterdir() if p.stem in kinds() or p.stem.startswith("target-"))  # nobody else's
+        drawn = (p for p in figures.iterdir() if p.stem.startswith(("target-", *kinds())))  # nobody else's
         stale += sorted(f"figures/{p.name}" for p in drawn)
     for name in (*stale, *(f"{n}.sha256" for n in stale)):
         (run.out / name).unlink(missing_ok=True)

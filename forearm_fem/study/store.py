@@ -183,7 +183,8 @@ class StudyStore:
             who = holder.read_text(encoding="utf-8") if holder.exists() else "another process"
             raise DataError(f"sub-{participant}: {who} holds this participant's session; end it, or wait") from None
         try:
-            holder.write_text(f"process {os.getpid()} on {socket.gethostname()}, since {_now()},", encoding="utf-8")
+            since = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
+            holder.write_text(f"process {os.getpid()} on {socket.gethostname()}, since {since},", encoding="utf-8")
             yield
         finally:
             holder.unlink(missing_ok=True)
@@ -256,10 +257,6 @@ def _checked_date(name: str, day: str) -> None:
         date.fromisoformat(day)
     except ValueError:
         raise DataError(f"{name}: --consent expects the date of signing, e.g. 2026-11-24, got '{day}'") from None
-
-
-def _now() -> str:
-    return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
 def _take_off_torn_line(file: Path) -> None:
