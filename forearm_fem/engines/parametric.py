@@ -271,9 +271,11 @@ class ParametricModel:
 @dataclass(frozen=True, eq=False)
 class _Answer:
     """Answer of a piece for one draw.
-    // ``values``: at the frequencies asked.
+
+    ``values``: at the frequencies asked.
     ``between`` (n_port, n_port): interpolation error over the largest entry between nodes.
-    ``whole``, ``core``, ``rough``: values at ``probes`` of the piece, its core and the model of rough points."""
+    ``whole``, ``core``, ``rough``: values at ``probes`` of the piece, its core and the model of rough points.
+    """
 
     values: ComplexArray
     between: FloatArray

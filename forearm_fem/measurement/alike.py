@@ -132,8 +132,10 @@ def response_over(drive: FloatArray, response: FloatArray, band: BoolArray) -> C
 def off_alike(r: Recording, drive: FloatArray, band: BoolArray) -> FloatArray:
     """Error (n_bins,) of an estimate of response over ``drive`` (n_repeat, n) [V] by what the repeats of ``r`` have
     in common.
-    // Lines, the ramp of a drifting offset, and the delay of clocks that run apart, counted from the last period
-    kept back to the beginning, of which one was thrown away. 0 outside ``band`` (n_bins,)."""
+
+    Lines, the ramp of a drifting offset, and the delay of clocks that run apart, counted from the last period
+    kept back to the beginning, of which one was thrown away. 0 outside ``band`` (n_bins,).
+    """
     value, x = response_over(drive, r.response, band), rfft(drive.mean(axis=0))
     drifted = np.divide(ramp_spectrum(ramp(r.response), r.n), np.abs(x), out=np.zeros(len(x)), where=band)
     late = abs(delay_growth(r, band)) * ((len(r.response) + 1) / 2 + 1)

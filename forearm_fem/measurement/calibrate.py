@@ -37,7 +37,8 @@ class Step:
 @dataclass(frozen=True)
 class Plan:
     """Plan of a measurement: ports, sweep and options.
-    // ``inputs``: actuators in the order of the outputs' wiring.
+
+    ``inputs``: actuators in the order of the outputs' wiring.
     ``latency_basis``: source of the device's latency.
     ``simulated``: parameters of a virtual device, which no hardware could say of itself.
     """

@@ -83,8 +83,10 @@ _UNLIKE = 0.7  # what came back is no copy of what was sent
 @dataclass(frozen=True)
 class Loopback:
     """Measurement of a cable from output to input of ``device`` at ``sample_rate`` [Hz], ``taken`` at a time (UTC).
-    // ``latency`` [samples]; ``gain`` [V/V]; ``residual`` [-]: part of the record that is no delayed copy of the
-    stimulus."""
+
+    ``latency`` [samples]; ``gain`` [V/V]; ``residual`` [-]: part of the record that is no delayed copy of the
+    stimulus.
+    """
 
     latency: float
     gain: float

@@ -38,12 +38,14 @@ class VirtualSensor:
 @dataclass(frozen=True)
 class Faults:
     """Faults of a virtual device.
-    // ``drop`` (sample, count): a buffer comes late by ``count`` samples.
+
+    ``drop`` (sample, count): a buffer comes late by ``count`` samples.
     ``dead_inputs``: actuators that do not move.
     ``drift``: relative change of the response per second.
     ``moved_at``, ``moved_gain``: sample from which the response is so many times as large.
     ``fail_at``: sample at which the driver raises.
-    ``nan_at``: sample that is not a number."""
+    ``nan_at``: sample that is not a number.
+    """
 
     drop: tuple[int, int] | None = None
     dead_inputs: tuple[int, ...] = ()

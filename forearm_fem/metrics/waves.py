@@ -80,7 +80,9 @@ def phase_told(fit: WaveFit) -> BoolArray:
 
 def beside(distance: FloatArray, radius: float) -> BoolArray:
     """True where a point at ``distance`` (m,) [m] from the middle of a cone of ``radius`` [m] lies beside it.
-    // Points under it move with it, not with its wave, and belong into no wave fit."""
+
+    Points under it move with it, not with its wave, and belong into no wave fit.
+    """
     return np.asarray(distance > max(_RIM * radius, _MIDDLE))
 
 

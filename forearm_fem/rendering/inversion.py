@@ -79,7 +79,8 @@ class Control:
 @dataclass(frozen=True, eq=False)
 class Inversion:
     """Account of the inversion of ``h`` at each of its bins, worked out where it is asked for.
-    // ``wanted`` (n, c): motion asked for.
+
+    ``wanted`` (n, c): motion asked for.
     ``drive`` (n, q): result.
     ``weights`` (n, k): of its singular vectors.
 

@@ -56,11 +56,13 @@ _MAPS = {"normal": SIGNED, "magnitude": SIZE, "phase": "twilight"}
 @dataclass(frozen=True)
 class Look:
     """Options of the picture.
-    // ``camera``: of :data:`CAMERAS`.
+
+    ``camera``: of :data:`CAMERAS`.
     ``cut``: "", "x", "y" or "xy" opens the limb in front of planes through the target normal to these axes.
     ``amplification`` [-]: None draws the largest displacement as about 5 mm.
     ``limit`` [m]: of the colours; None takes what the grid points reach.
-    ``bare``: without words and bar of colours."""
+    ``bare``: without words and bar of colours.
+    """
 
     camera: str = "oblique"
     cut: str = ""

@@ -55,11 +55,13 @@ class _Part:
 @dataclass(frozen=True, eq=False)
 class _Asked:
     """Compliances that a scenario asks of any limb.
-    // ``places``: of p ports, flat; then of constraints of rigid discs: bonded along u and v, and tilt along u and
+
+    ``places``: of p ports, flat; then of constraints of rigid discs: bonded along u and v, and tilt along u and
     v.
     ``owner`` (m,): port of each row.
     ``way`` (m,): 0 along the normal, 1 along the skin, 2 tilt.
-    ``twin``: layered model of all m."""
+    ``twin``: layered model of all m.
+    """
 
     ports: tuple[Port, ...]
     frequency: FloatArray

@@ -257,9 +257,11 @@ class Certificate:
 @dataclass(frozen=True)
 class Doubt:
     """Frequency at which the reduced model is doubted most.
-    // ``change``: largest anywhere, relative to the largest entry; where resonances are sharp, the largest error
+
+    ``change``: largest anywhere, relative to the largest entry; where resonances are sharp, the largest error
     bound.
-    ``wary``: True where the bound is stated, too."""
+    ``wary``: True where the bound is stated, too.
+    """
 
     frequency: float
     change: float

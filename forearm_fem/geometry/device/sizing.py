@@ -105,8 +105,10 @@ _THROUGH = 0.8  # a sublayer is at most about this much of the size between cont
 @dataclass(frozen=True)
 class _Rule:
     """Mesh sizes by element pair.
-    // Elements per shear wavelength, under contacts (in radii), at rigid rims (relative to the size between contacts
-    and grid, and in radii at most), on the limb's wall (facets relative to a bone's), and :attr:`Sizes.rim_lead`."""
+
+    Elements per shear wavelength, under contacts (in radii), at rigid rims (relative to the size between contacts
+    and grid, and in radii at most), on the limb's wall (facets relative to a bone's), and :attr:`Sizes.rim_lead`.
+    """
 
     per_wavelength: float
     widest: float

@@ -281,7 +281,8 @@ def with_scattered_error(result: FitResult, moved: FloatArray) -> FitResult:
 
 def moved_by(model: Model, measured: TransferMatrix, result: FitResult, others: Sequence[ComplexArray]) -> FloatArray:
     """Change of the fitted values (n, k) by errors of the model, to first order in the fitted coordinates.
-    // ``model`` at the fitted values gave each of ``others``, G shaped like ``measured``, instead of what it gives.
+
+    ``model`` at the fitted values gave each of ``others``, G shaped like ``measured``, instead of what it gives.
 
     One answer on another mesh may by chance move a value not at all; many in all directions do not.
     """

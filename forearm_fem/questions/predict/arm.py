@@ -42,9 +42,11 @@ _GEOMETRY = ("thickness", "placement", "contact area")
 @dataclass(frozen=True, eq=False)
 class Answer:
     """Answer of a model for a draw.
-    // ``compliance``: its value.
+
+    ``compliance``: its value.
     ``others``: as likely by the errors ``shown`` (their sources), whose shape over pairs of ports is known; all
-    other errors count as noise."""
+    other errors count as noise.
+    """
 
     compliance: Compliance
     others: tuple[Compliance, ...] = ()

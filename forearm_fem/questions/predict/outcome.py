@@ -107,8 +107,10 @@ def strengths_of(job: RenderJob, true: TransferMatrix, calibrated: TransferMatri
 
 def drivers_of(draw: Draw, scenario: Scenario, held: Collection[str]) -> dict[str, float]:
     """Candidate drivers of S: inputs, and of each drawn tissue its size |mu*| [Pa] and loss tangent at 150 Hz.
-    // Nothing of a tissue or layer that the limb has not, or of a part that the drive leaves out: chance would make
-    it a driver."""
+
+    Nothing of a tissue or layer that the limb has not, or of a part that the drive leaves out: chance would make
+    it a driver.
+    """
     tissue_input = {f"{t}." for t in SOFT}
     own, layers = soft_tissues(scenario), {layer.tissue for layer in getattr(scenario.limb, "layers", ())}
     absent = {f"{t} thickness" for t in SOFT if t not in layers} | idle_inputs(scenario)

@@ -212,8 +212,10 @@ def sobol_indices(drivers: FloatArray, names: Sequence[str], values: FloatArray)
 def joint_distance(values: FloatArray, point: FloatArray) -> tuple[float, float]:
     """Distance of ``point`` (m,) from draws ``values`` (n, m): Mahalanobis' of logarithms, over its median among the
     draws, and the share of draws further out.
-    // NaN for fewer than 5 m draws: they do not tell how entries go together, and a point off their span would count
-    as near."""
+
+    NaN for fewer than 5 m draws: they do not tell how entries go together, and a point off their span would count
+    as near.
+    """
     if len(values) < _DRAWS_AN_ENTRY * values.shape[1]:
         return float("nan"), float("nan")
     logs, at = np.log(values), np.log(point)

@@ -165,9 +165,11 @@ class FrontStore(NamedTuple):
 
 class Scratch(NamedTuple):
     """Scratch arrays of one thread.
-    // ``place`` (n,): of unknowns in its front.
+
+    ``place`` (n,): of unknowns in its front.
     ``outer``: D L^T of a panel's current columns.
-    ``under``: D L^T of all columns under the panel."""
+    ``under``: D L^T of all columns under the panel.
+    """
 
     call: Arguments
     place: NDArray[np.int32]
