@@ -40,7 +40,6 @@ print(f"muscle.mu {value:.0f} Pa ({low:.0f} to {high:.0f})")
 # %%
 # The picture: where it lies in the range that was allowed.
 figure = found.plot()
-figure
 
 # %%
 # What this page promises: the fit finds the muscle.

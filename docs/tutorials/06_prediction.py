@@ -29,7 +29,6 @@ print(table["drivers"].to_pandas().iloc[:3, :4])
 # The picture: bars span 5-95 % and 25-75 % of arms; the cross is the scene itself with its numerical interval. The two
 # are of different things, and never added.
 figure = people.plot()
-figure
 
 # %%
 # **Kept**: page, pictures and numbers, as `forearm-fem predict` writes them.

@@ -135,7 +135,7 @@ def _calibrated(
     with job() as display, stop_on_ctrl_c() as stop:
 
         def operator(where: str) -> bool:
-            """Whether to measure there: waits for Enter where an operator is to be asked."""
+            """True if it is to be measured there: waits for Enter where an operator is to be asked."""
             if not ask:
                 return True
             console.print(f"{where}; Enter to measure, q to stop", highlight=False)
@@ -253,7 +253,8 @@ def compare(
     ] = None,
     render: Annotated[bool, typer.Option(help="play the drives designed on one through the other")] = True,
 ) -> None:  # fmt: skip
-    """Which device is better and where, or where two G of one device differ and why."""
+    """Comparison of two devices (which is better, and where), or of two G of one device (where they differ, and
+    why)."""
     scene, said = scene_of(scenario), (declaration(declare_a), declaration(declare_b))
     names = (p.resolve().name if p.is_dir() else p.stem for p in what)
     folder = out or Path("results") / f"compare-{'-'.join(names)}"
