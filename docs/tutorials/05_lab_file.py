@@ -22,7 +22,7 @@ softer.save(file)
 # **G of the file**, with the points and actuators of the scenario that was measured.
 g = read(file, scenario=scene)
 print(repr(g))
-print(g.to_xarray().sel(output="5", input="A1", frequency=200.0, method="nearest").values)
+print(g.to_xarray().sel(output="5", input="A1").sel(frequency=200.0, method="nearest").values)
 
 # %%
 # **S on it**: the same renderers, wavelet and window as on a simulated G.

@@ -8,14 +8,14 @@ can be downloaded as a notebook.
 
 # %%
 # **The question**: a scenario, and how many arms. Twenty are the least for a band of 90 %; a folder keeps what is done,
-# so that the same call with more draws goes on.
+# so that the same call with more draws goes on. With ``workers=1`` no further processes are started.
 import tempfile
 
 from forearm_fem import load_scenario, predict
 
-scene = load_scenario("quick").changed({"engine": "layered", "rendering.targets": ["5"], "sweep.f_max": 300.0})
+scene = load_scenario("quick").changed({"engine": "layered", "rendering.targets": ["5"]})
 folder = tempfile.mkdtemp()
-people = predict(scene, draws=20, folder=folder)
+people = predict(scene, draws=20, folder=folder, workers=1)
 print(repr(people))
 
 # %%
@@ -37,6 +37,6 @@ print(page.name)
 
 # %%
 # What this page promises: draws are the same again, and those that were there are not made anew.
-again = predict(scene, draws=20, folder=folder)
+again = predict(scene, draws=20, folder=folder, workers=1)
 assert again.reused == 20
 assert (again.sel("inverse filter", "5") == strengths).all()

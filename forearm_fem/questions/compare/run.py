@@ -180,8 +180,10 @@ class FitCommandResult(Manners):
         return [head, *([n, *(f"{x:.4g}" for x in self.sel(n)), units[n]] for n in self.fit.values)]
 
     def sel(self, parameter: str) -> tuple[float, float, float]:
-        """Value and 95 % bounds of a parameter."""
-        name = list(self.fit.values)[place(list(self.fit.values), parameter, "parameter")]
+        """Value and 95 % bounds of a parameter, by its key or the short name that was asked for."""
+        names = list(self.fit.values)
+        short = [n for n in names if n.endswith(f".{parameter}")]
+        name = short[0] if len(short) == 1 else names[place(names, parameter, "parameter")]
         return (self.fit.values[name], *self.fit.interval[name])
 
     def to_xarray(self) -> xr.Dataset:
