@@ -217,7 +217,7 @@ def test_moved_actuators_have_the_engines_g(flat: Results, content: dict[str, An
 @pytest.mark.slow  # tables of bonded discs, 15 s
 @needs_node
 def test_moved_rigid_actuators_scatter_as_the_engines_do(tmp_path: Path) -> None:
-    """Within what the page states, doubled, as it tried other arrangements; without scattering it would be a percent."""
+    """Within twice what the page states, as it tried other arrangements; without scattering it would be a percent."""
     results = rendered(tmp_path, device={"cone": {"contact": "bonded"}})
     found = content_of(results)
     assert error_of_moved(results, found) < 2 * found["anywhere"]["error"] < 0.02

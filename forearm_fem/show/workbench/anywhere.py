@@ -91,8 +91,11 @@ class Anywhere:
         seen = np.concatenate([whole[:, force], rows], axis=1)
         return chebyshev_between(*self.ends, omega, seen[:, :, force] - seen[:, :, inner] @ scattered)[0]
 
-    def refusal(self, contacts: FloatArray) -> bool:
-        """Whether discs cannot stand there."""
+    def refuses(self, contacts: FloatArray, points: FloatArray) -> bool:
+        """Whether discs cannot stand there: off the skin that is known, too close, or pressing on one of ``points``."""
+        away = np.linalg.norm(contacts[:, None] - points[None], axis=2)
+        if self.contact == "pressure" and away.min(initial=np.inf) < self.radius + CLEAR:
+            return True
         gaps = np.linalg.norm(contacts[:, None] - contacts[None], axis=2)[np.triu_indices(len(contacts), 1)]
         off = np.abs(contacts - self.middle) + self.radius > self.half
         return bool(off.any()) or gaps.min(initial=np.inf) < CLOSEST * self.radius
@@ -221,7 +224,7 @@ def _missed(found: Anywhere, scenario: Scenario, transfer: TransferMatrix) -> Er
     layout = layout_of(scenario)
     home, points = layout.contacts, layout.points
     worst, band = np.zeros(len(transfer.frequency)), 0.0
-    arrangements = [home, *_drawn(found, scenario, home)]
+    arrangements = [home, *_drawn(found, home, points)]
     for contacts in arrangements:
         exact = solve_layered(moved(scenario, contacts, points), transfer.frequency)
         discs, rest = exact.indices("contact"), exact.indices("point")
@@ -252,13 +255,13 @@ def _pairs(places: FloatArray) -> tuple[tuple[float, float], ...]:
     return tuple((float(x), float(y)) for x, y in places)
 
 
-def _drawn(found: Anywhere, scenario: Scenario, home: FloatArray) -> list[FloatArray]:
+def _drawn(found: Anywhere, home: FloatArray, points: FloatArray) -> list[FloatArray]:
     """Arrangements of as many discs: half of them each disc a little moved, the others anywhere."""
     rng, out = np.random.default_rng(_SEED), list[FloatArray]()
     for k in range(_TRIES):
         near = home + rng.uniform(-1, 1, size=home.shape) * 2 * found.radius
         contacts = near if k % 2 else found.middle + rng.uniform(-1, 1, size=home.shape) * (found.half - found.radius)
-        if not found.refusal(contacts):
+        if not found.refuses(contacts, points):
             out.append(contacts)
         if len(out) == _CHECKED:
             break
