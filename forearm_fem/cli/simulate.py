@@ -60,7 +60,7 @@ def run(
             kept.ports(asked)  # what it does not answer for is said now
             typer.echo(f"library: no mesh and no solve; {len(frequencies(asked.sweep))} frequencies in seconds")
             return
-        with Display() as display:
+        with noted(), Display() as display:
             expected = _expected(asked, scenario.parent, display)
         _print_forecast(asked, expected)
         print_notes(scene_notes(asked))
@@ -77,7 +77,7 @@ def run(
 def _until(asked: Scenario, scenario: Path, last: Until, out: Path | None, overrides: Overrides) -> None:
     """Stop after the mesh or the solution, and print what that gave."""
     from ..questions.run import run_mesh, run_solve
-    from ..results import read_run
+    from ..results.run import read_run
 
     if last == "mesh":
         with stage(asked, scenario, out, run_mesh, overrides) as job:

@@ -28,7 +28,7 @@ from .bridging import bridged
 from .combination import Combination
 from .drives import Renderer, displacements, drives
 from .funneling import Funneling, funneling_weights
-from .interval import StrengthAccount, strength_account
+from .interval import Strength, strength_of
 from .inverse_filter import LEAST_ERROR, InverseFilter
 from .inversion import Regularisation
 from .lattice import lattice_of
@@ -110,10 +110,10 @@ class RenderJob:
             progress=progress,
         )  # fmt: skip
 
-    def account(self, transfer: TransferMatrix, rendering: Rendering) -> StrengthAccount:
+    def account(self, transfer: TransferMatrix, rendering: Rendering) -> Strength:
         """S of ``rendering``, which :meth:`play` made of ``transfer``, with its interval."""
         measured = any(e.source == "measurement" for e in transfer.errors) or transfer.deviation is not None
-        return strength_account(rendering, self.methods, self.wavelet, measured)
+        return strength_of(rendering, self.methods, self.wavelet, measured)
 
     def strengths(
         self, design_on: TransferMatrix, *play_on: TransferMatrix, windows: Sequence[Window] = ()
@@ -302,21 +302,26 @@ def scenario_for(
         scenario = _thesis_with_places_of(g)
         notes.append(UNASKED)
     scenario = scenario.changed(read_overrides(overrides)) if overrides else scenario
+    placed, note = on_own_bins(g, scenario)
+    return placed, (*notes, *([note] if note else []))
+
+
+def on_own_bins(g: TransferMatrix, scenario: Scenario) -> tuple[Scenario, str]:
+    """``scenario`` and "", or with a record whose bins ``g`` is on and a note, where ``g`` fits no bins of its own."""
     shape = scenario.rendering.wavelet
     if isinstance(shape, SampledWavelet) or _lies_on(g, scenario):
-        return scenario, tuple(notes)
+        return scenario, ""
     own = wavelet_for(g.frequency, shape.peak).record
-    if is_on_bins(g.frequency, 1 / own.df):
-        sweep = {
-            "sweep.f_min": float(g.frequency[0]), "sweep.f_max": float(min(g.frequency[-1], _HIGHEST)),
-            "sweep.duration": 1 / own.df, "sweep.sample_rate": own.sample_rate,
-        }  # fmt: skip
-        notes.append(
-            f"the record is {1 / own.df:.4g} s at {own.sample_rate:.6g} Hz, whose bins are this G's frequencies: it is "
-            f"not known closely enough for the scenario's ({scenario.sweep.duration:g} s)"
-        )
-        scenario = scenario.changed(sweep)
-    return scenario, tuple(notes)
+    if not is_on_bins(g.frequency, 1 / own.df):
+        return scenario, ""
+    sweep = {
+        "sweep.f_min": float(g.frequency[0]), "sweep.f_max": float(min(g.frequency[-1], _HIGHEST)),
+        "sweep.duration": 1 / own.df, "sweep.sample_rate": own.sample_rate,
+    }  # fmt: skip
+    return scenario.changed(sweep), (
+        f"the record is {1 / own.df:.4g} s at {own.sample_rate:.6g} Hz, whose bins are this G's frequencies: it is not "
+        f"known closely enough for the scenario's ({scenario.sweep.duration:g} s)"
+    )
 
 
 def _lies_on(g: TransferMatrix, scenario: Scenario) -> bool:

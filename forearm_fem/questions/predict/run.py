@@ -19,12 +19,13 @@ from ...errors import AccuracyWarning, ForearmError, ScenarioError
 from ...fem.kernels.compiled import freed_memory_kept
 from ...geometry.device.layout import planform_ports
 from ...progress import Progress, tell, within
-from ...rendering.interval import StrengthAccount
+from ...rendering.interval import Strength
 from ...rendering.job import RenderJob, check_servable, wavelet
 from ...rendering.lattice import is_thesis_grid
 from ...rendering.limits import counted_points
+from ...results.draws import DRAWS_FILE, DrawsFile, Outcome
 from ...scenario import Scenario
-from ...scenario.shipped import contents, named_files
+from ...scenario.shipped import code_files, contents, named_files
 from ...scenario.sweep import frequencies
 from ...store.folder import check_kind, set_kind
 from ...store.record import save
@@ -32,13 +33,13 @@ from ...store.shelf import WORK, Shelf
 from ...store.text import digest_of
 from ...store.work import LOST, done_once, light_workers, spread
 from ...transfer import UNITS, ErrorEstimate
+from ...usercode import is_code, with_code_beside
 from .arm import ArmModel, LayeredArm, arm_model
 from .draws import LAWS, draw_inputs, each_name, load_priors, scenario_of
-from .outcome import DrawsFile, Outcome, Setup, outcome_of, setup_of
+from .outcome import Setup, outcome_of, setup_of
 from .statistics import Draws, draws_of
 
 DRAWS = 200
-FILE = "draws.nc"
 POOL = 200  # draws that a model of finite elements is made from: the first ones, however many are asked for
 
 
@@ -57,6 +58,10 @@ class Question:
     held: tuple[str, ...] = ()
     twin: bool = False
 
+    def __post_init__(self) -> None:
+        """Laws of one's own are files beside the scenario."""
+        object.__setattr__(self, "laws", tuple(with_code_beside(list(self.laws), self.base)))
+
     @property
     def digest(self) -> str:
         """SHA-256 of all that a draw depends on but its number."""
@@ -64,7 +69,7 @@ class Question:
         content = [__version__, self.scenario.model_dump(mode="json", exclude={"name", "description"}), self.seed,
                    sorted(self.laws), sorted(self.held), self.twin, repr(priors.inputs), repr(priors.laws),
                    {law: joint.mean.tolist() for law, joint in priors.joint.items()},
-                   contents(named_files(self.scenario), self.base)]  # fmt: skip
+                   contents((*named_files(self.scenario), *code_files(self.laws)), self.base)]  # fmt: skip
         return digest_of(content)
 
 
@@ -77,7 +82,7 @@ class Prediction:
     """
 
     question: Question
-    nominal: StrengthAccount
+    nominal: Strength
     draws: Draws
     model: str
     left_out: str
@@ -142,7 +147,7 @@ def predict(
             set_kind(out, "prediction")
         kept[jobs[key].number] = _outcome(jobs[key].number, parts, setup)
     frequency, unit = frequencies(question.scenario.sweep), UNITS[question.scenario.device.drive]
-    save(out / FILE, DrawsFile.of(list(kept.values()), setup.methods, setup.targets, digest, frequency, unit))
+    save(out / DRAWS_FILE, DrawsFile.of(list(kept.values()), setup.methods, setup.targets, digest, frequency, unit))
     grid = is_thesis_grid(setup.outputs)
     points, motors = planform_ports(question.scenario)
     touching = [p for p in motors if p.name not in question.scenario.device.out_of_contact]
@@ -168,8 +173,12 @@ def check_question(question: Question) -> None:
             f"--hold: no input or group is called '{bad[0]}'; groups are {', '.join(sorted(groups))}, single inputs "
             "stand in questions/predict/priors.toml"
         )
-    if bad := sorted(set(question.laws) - set(LAWS)):
-        raise ScenarioError(f"--law: no law is called '{bad[0]}'; known are {', '.join(LAWS)}")
+    if bad := sorted(x for x in set(question.laws) - set(LAWS) if not is_code(x)):
+        raise ScenarioError(
+            f"--law: no law is called '{bad[0]}'; known are {', '.join(LAWS)}, or your own as module:Name"
+        )
+    for law in filter(is_code, question.laws):
+        priors.tissue_inputs(law)
     if not question.laws:
         raise ScenarioError(f"--law: expected at least one of {', '.join(LAWS)}")
     if not hasattr(question.scenario.limb, "layers"):
@@ -195,7 +204,7 @@ def expanded(held: Collection[str], scenario: Scenario) -> frozenset[str]:
     return frozenset({*names, *each, *({"tissue"} & set(held))})
 
 
-def _nominal(question: Question, progress: Progress | None) -> tuple[StrengthAccount, tuple[ErrorEstimate, ...]]:
+def _nominal(question: Question, progress: Progress | None) -> tuple[Strength, tuple[ErrorEstimate, ...]]:
     """The scene's own S with its interval, and what its G errs by."""
     scenario, base = question.scenario, question.base
     with warnings.catch_warnings():
@@ -224,7 +233,7 @@ def drawn(question: Question, setup: Setup, arm: ArmModel, number: int) -> Outco
         with freed_memory_kept():
             return outcome_of(draw, setup, arm)
     except ForearmError as problem:
-        return Outcome.none(number, draw.law, setup, str(problem))
+        return Outcome.none(number, draw.law, setup.methods, setup.targets, str(problem))
 
 
 def work(job: Job) -> dict[str, Any]:
@@ -237,9 +246,9 @@ def work(job: Job) -> dict[str, Any]:
 
 
 def _outcome(number: int, parts: Mapping[str, Any], setup: Setup) -> Outcome:
-    """What :meth:`.outcome.Outcome.as_parts` gave, or why there is nothing."""
+    """What :meth:`.Outcome.as_parts` gave, or why there is nothing."""
     if "strengths" not in parts:
-        return Outcome.none(number, "", setup, str(parts[LOST]))
+        return Outcome.none(number, "", setup.methods, setup.targets, str(parts[LOST]))
     return Outcome(**{**parts, "number": number, "drivers": MappingProxyType(parts["drivers"])})
 
 

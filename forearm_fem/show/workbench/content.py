@@ -19,8 +19,6 @@ from ...files.declaration import arbitrary_gain
 from ...geometry.device.layout import layout_of
 from ...ports import Port
 from ...progress import Progress
-from ...questions.predict.outcome import DrawsFile
-from ...questions.predict.run import FILE
 from ...rendering import (
     Bridged,
     Placed,
@@ -34,6 +32,7 @@ from ...rendering import (
 )
 from ...rendering.interval import at_least_band
 from ...rendering.job import least_error, wavelet
+from ...results.draws import DRAWS_FILE, DrawsFile
 from ...scenario import Scenario, parse_scenario
 from ...scenario.actuators import beneath
 from ...scenario.changes import put
@@ -147,17 +146,21 @@ def _packed_places(places: Places, arm: LibraryOfArm, scenario: Scenario) -> dic
     }  # fmt: skip
 
 
-def measured_content(transfer: TransferMatrix, scenario: Scenario, stamp: str, base: Path = Path()) -> dict[str, Any]:
+def measured_content(
+    transfer: TransferMatrix, scenario: Scenario, stamp: str, base: Path = Path(), note: str = ""
+) -> dict[str, Any]:
     """The page's content for a G without compliance: the device cannot be changed, nothing is known between the points.
 
-    ``scenario`` gives the record, the wavelet (its file seen from ``base``), the limits and the renderers' options.
+    ``scenario`` gives the record, the wavelet (its file seen from ``base``), the limits and the renderers' options;
+    ``note`` is one more to show.
     """
     record = Record.of(scenario.sweep.sample_rate, scenario.sweep.duration)
     holes = bridged(transfer)
     placed = place(holes.transfer, record)
     shape = wavelet(scenario.rendering, scenario.sweep, base)
     gain = "the gain of this G is arbitrary, as was declared: S holds, micrometres, drives and limits mean nothing"
-    notes = [*([gain] if arbitrary_gain(transfer.provenance) else []), *([holes.sentence] if holes.sentence else [])]
+    gain = gain if arbitrary_gain(transfer.provenance) else ""
+    notes = [n for n in (gain, holes.sentence, note) if n]
     return {
         **_common(scenario, holes, placed, between_points(transfer.outputs), record, shape),
         "name": scenario.name,
@@ -221,7 +224,7 @@ def _arms(prediction: Mapping[str, Any] | None) -> dict[str, Any] | None:
 
 def _draws(results: Results, placed: Placed) -> list[dict[str, Any]]:
     """G of some arms that a prediction of this scenario drew, on the page's bins, and what arms they are."""
-    file = results.folder / Path(PREDICTION).parent / FILE
+    file = results.folder / Path(PREDICTION).parent / DRAWS_FILE
     if results.prediction is None or not file.is_file():
         return []
     frequency, sweep = frequencies(results.scenario.sweep), results.scenario.sweep
