@@ -76,6 +76,7 @@ html_theme = "furo"
 html_title = f"forearm_fem {release}"
 html_static_path = ["_static"]
 html_css_files = ["manual.css"]
+html_search_scorer = "_static/search_scorer.js"  # a reader who looks for "spacing" has a question, no symbol
 html_show_sphinx = False
 html_copy_source = False
 templates_path: list[str] = []
