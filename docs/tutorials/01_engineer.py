@@ -2,11 +2,11 @@
 The engineer: calibrate before hardware exists
 ==============================================
 
-You design a sleeve with vibration motors. Can it aim at a point of the skin, and how far apart should its actuators sit?
-A real calibration takes a laser vibrometer and a day; here the transfer matrix G comes from a model of the arm.
+You design a sleeve with vibration motors. Can it aim at a point of the skin, and how far apart should its actuators
+sit? A real calibration takes a laser vibrometer and a day; here the transfer matrix G comes from a model of the arm.
 
-The layered model (``engine = "layered"``), a flat arm without bones, answers in seconds. Leave that key out and the same
-script meshes and solves a whole forearm; it takes minutes and adds bones, curvature and cut ends.
+The layered model (``engine = "layered"``), a flat arm without bones, answers in seconds. Leave that key out and the
+same script meshes and solves a whole forearm; it takes minutes and adds bones, curvature and cut ends.
 """
 
 # %%
@@ -37,8 +37,8 @@ rendering = render(simulation)
 rendering.plot()
 
 # %%
-# **How far apart should the actuators sit?** Below 45 mm the grid's corner points lie within 9 mm of a rim: they move with
-# a motor, and S there does not count. Far apart each actuator is alone. Every spacing is one line.
+# **How far apart should the actuators sit?** Below 45 mm the grid's corner points lie within 9 mm of a rim: they move
+# with a motor, and S there does not count. Far apart each actuator is alone. Every spacing is one line.
 import matplotlib.pyplot as plt
 
 spacings = [0.045, 0.050, 0.055]
