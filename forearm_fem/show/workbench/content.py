@@ -1,4 +1,4 @@
-"""What goes into the page: the model between the ports, the device, the field, and what is known about their errors."""
+"""Content of the page: the model between the ports, the device, the field, and their error estimates."""
 
 from __future__ import annotations
 
