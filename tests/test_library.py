@@ -16,9 +16,9 @@ from forearm_fem.engines.layered import flat_layers
 from forearm_fem.engines.library import is_library, load_library, make, make_library, save_library, side
 from forearm_fem.engines.library.arm import _Asked, _Part, library_skin
 from forearm_fem.engines.library.between import Lattice, Prior, Shape, shape_of
-from forearm_fem.engines.library.limb import deviation_held, held
+from forearm_fem.engines.library.limb import constrained_compliance, deviation_held
 from forearm_fem.engines.library.loads import (
-    Bells,
+    GaussianLoads,
     bell_functionals,
     between_flat_bells,
     flat_compliance,
@@ -138,7 +138,7 @@ def test_bells_read_the_mean_of_what_they_cover(element):
     skin = library_skin(slab)
     meshed = meshed_scenario(slab, skin)
     model = fem_model(meshed, cached_mesh(meshed))
-    bells = Bells(np.array([[0.001, 0.002], [-0.006, 0.003]]), np.array([[0.0, 0, 1], [0, 0, 1]]), 0.002)
+    bells = GaussianLoads(np.array([[0.001, 0.002], [-0.006, 0.003]]), np.array([[0.0, 0, 1], [0, 0, 1]]), 0.002)
     seen = bell_functionals(model, skin, bells)
     up = np.zeros((model.space.n_nodes, 3))
     up[:, 2] = 1.0
@@ -179,12 +179,13 @@ def test_the_limb_is_summed_alike_for_one_frequency_and_for_many(library):
 
 
 def test_between_its_loads_it_states_what_interpolation_costs(slab, library):
-    """Bells at places that the library has not seen, on its own mesh, along the normal and along both tangents."""
+    """GaussianLoads at places that the library has not seen, on its own mesh, along the normal and along both
+    tangents."""
     places = np.array([[0.0025, 0.0021], [-0.0049, -0.0018]])
     skin, meshed, n, s = library.skin, meshed_scenario(slab, library.skin), len(library.centres), len(library.sideways)
     model = fem_model(meshed, cached_mesh(meshed))
     axes = np.concatenate([skin.places(places)[1], *skin.tangents(places)])
-    seen = bell_functionals(model, skin, Bells(np.tile(places, (3, 1)), axes, library.width)).toarray()
+    seen = bell_functionals(model, skin, GaussianLoads(np.tile(places, (3, 1)), axes, library.width)).toarray()
     witness = replace(model, functionals=seen, shares=np.ones(6))
     node = library.bands.nodes.shape[1] // 2
     at = library.bands.nodes[-1, node]
@@ -206,9 +207,11 @@ def test_between_its_loads_it_states_what_interpolation_costs(slab, library):
     stated = library._deviation(part, asked)
     assert (off < 3 * stated + 0.02 * np.abs(truth).max()).all()
     assert off.max() < 0.05 * np.abs(truth).max()
-    held_truth, hold = held(truth[None], 2)  # both held sideways, as bonded discs are
+    held_truth, hold = constrained_compliance(truth[None], 2)  # both held sideways, as bonded discs are
     deviation = deviation_held(stated[None], hold)[0]
-    assert (np.abs(held(found[None], 2)[0] - held_truth)[0] < 3 * deviation + 0.02 * np.abs(truth).max()).all()
+    assert (
+        np.abs(constrained_compliance(found[None], 2)[0] - held_truth)[0] < 3 * deviation + 0.02 * np.abs(truth).max()
+    ).all()
     assert np.abs(held_truth - truth[:2, :2]).max() > 1e-3 * np.abs(truth).max()  # so holding does count
 
 
@@ -230,7 +233,7 @@ def test_discs_that_are_held_again_are_those_that_were_never_let_go(slab, librar
     free = library.twin.compliance(2 * np.pi * frequency, discs, free=True).values
     direct = library.twin.compliance(2 * np.pi * frequency, discs).values
     assert free.shape == (2, 12, 12)  # four ports, two discs along u and v, and their tilts
-    found, hold = held(free, len(ports))
+    found, hold = constrained_compliance(free, len(ports))
     assert found[:, :, :2] == pytest.approx(direct[:, :, :2], rel=1e-10, abs=1e-12 * np.abs(direct[:, 0, 0]).max())
     # silent discs move nowhere: what is left of the free ones' motion under the forces that hold them
     forced = np.concatenate([np.tile(np.eye(4), (2, 1, 1)), hold.swapaxes(1, 2)], axis=1)[:, :, :2]
@@ -302,7 +305,7 @@ def test_discs_are_held_against_the_slope_of_what_the_limb_adds(slab, library):
     seen = [np.sin(discs) * np.sin(x * a) / (x * a), np.sin(points), np.zeros(4)]
     slope = 3 * spherical_jn(1, x * a) / (x * a) * np.outer(k, np.cos(discs)).ravel()
     truth, flat = (
-        held(asked.twin.values + size * np.outer(moved, moved), len(asked.ports))[0][:, :, :2]
+        constrained_compliance(asked.twin.values + size * np.outer(moved, moved), len(asked.ports))[0][:, :, :2]
         for moved in (np.concatenate([*seen, of]) for of in (slope, 0 * slope))
     )
     off = np.abs(found.values[:, :, :2] - truth).max() / np.abs(truth).max()
@@ -641,8 +644,11 @@ def test_what_a_library_cannot_answer_is_one_sentence(library, change, error, sa
         ({"library": {"length": 0.2, "width": 0.03}}, "reaches beyond the volar skin"),
         ({"limb": {**SLAB["limb"], "symmetry": ["x"]}}, "cut by limb.symmetry"),
         (
-            {"limb": {"shape": "slab", "length": 0.1, "width": 0.1}, "solver": {"memory_limit": 1e8},
-             "library": {"length": 0.05, "width": 0.05, "step": 1e-3}},
+            {
+                "limb": {"shape": "slab", "length": 0.1, "width": 0.1},
+                "solver": {"memory_limit": 1e8},
+                "library": {"length": 0.05, "width": 0.05, "step": 1e-3},
+            },
             r"library: \d+ loads, 1 mm apart, need more than .* enlarge library.step",
         ),
         ({"tissues": {"override": {"fat": {"law": "springpot", "mu": 3e3, "exponent": 0.2}}}}, "needs Kelvin-Voigt"),

@@ -31,7 +31,7 @@ from forearm_fem.questions.compare.parameters import (
     fem_model_for,
 )
 from forearm_fem.questions.compare.run import run_fit
-from forearm_fem.questions.predict.arm import LayeredArm, ReducedArm, _nearness, arm_model, on_mesh_of
+from forearm_fem.questions.predict.arm import LayeredArm, ReducedArm, _nearness, arm_model, with_scene_geometry
 from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.scenario.sweep import frequencies
@@ -485,7 +485,7 @@ def test_what_geometry_changes_between_the_frequencies_asked_is_within_its_state
     """The twin at every tenth bin tells what a rational function of 33 answers leaves there; its errors hold it."""
     scene = parse_scenario(SCENE)
     arm, drawn = ReducedArm(scene, model, LayeredArm()), parse_scenario(THICK)
-    own, f = on_mesh_of(scene, drawn), frequencies(scene.sweep)[::2]
+    own, f = with_scene_geometry(scene, drawn), frequencies(scene.sweep)[::2]
     some = slice(3, None, 20)
     (change, error), (exact, _) = arm._change(drawn, own, f), arm._change(drawn, own, f[some])
     off = np.abs(change[some] - exact)[:, 2:, :2]
@@ -506,7 +506,7 @@ def test_one_azimuthal_order_says_what_geometry_changes_within_its_statement(mod
     arm = ReducedArm(scene, model, LayeredArm(True, 1e-2, 3))
     for number in (3, 7):
         drawn = scenario_of(draw_inputs(load_priors(), scene, 0, number), scene)
-        own = on_mesh_of(scene, drawn)
+        own = with_scene_geometry(scene, drawn)
         change, error = arm._change(drawn, own, PROBES)
         truth = np.subtract(*(np.nan_to_num(exact.compliance(s, PROBES).values) for s in (drawn, own)))
         kinds = np.array([port.kind for port in flat_ports(scene)])
@@ -532,14 +532,14 @@ def test_an_arm_of_other_thickness_is_nearer_with_the_twins_change(model):
     drawn = drawn.model_copy(update={"limb": parse_scenario(THICK).limb, "grid": parse_scenario(THICK).grid})
     answer = arm.answer(drawn, PROBES)
     found = answer.compliance
-    truth, own = solved(drawn), model.compliance(on_mesh_of(scene, drawn), PROBES).block("point", "contact")
+    truth, own = solved(drawn), model.compliance(with_scene_geometry(scene, drawn), PROBES).block("point", "contact")
     errors = {e.source: e.band for e in found.errors}
     left, held = (band_error(v, truth) for v in (found.block("point", "contact"), own))
     assert held > 0.1  # else there is nothing to mend
     assert left < held / 2
     assert left < np.linalg.norm(list(errors.values())) < 10 * left
     assert np.isnan(found.values[:, 2, 2]).all()  # a point on itself is unknown still
-    laid = on_mesh_of(scene, drawn).model_copy(update={"grid": drawn.grid})
+    laid = with_scene_geometry(scene, drawn).model_copy(update={"grid": drawn.grid})
     before, missed = model.answer(laid, PROBES)
     change = np.abs(np.nan_to_num(found.values - before.values))
     off = np.abs(np.nan_to_num(np.array([other.values for other in answer.others]) - found.values))
@@ -674,7 +674,7 @@ def test_what_is_missed_is_known_for_each_pair(model, two_draws):
 
 def test_an_arm_that_differs_in_tissue_alone_is_the_models(model):
     scene = parse_scenario(SCENE)
-    drawn = on_mesh_of(scene, scenario_of(draw_inputs(load_priors(), scene, 0, 5), scene))
+    drawn = with_scene_geometry(scene, scenario_of(draw_inputs(load_priors(), scene, 0, 5), scene))
     one, other = ReducedArm(scene, model, LayeredArm()).compliance(drawn, PROBES), model.compliance(drawn, PROBES)
     assert np.array_equal(np.nan_to_num(one.values), np.nan_to_num(other.values))
     assert len(one.errors) == 1

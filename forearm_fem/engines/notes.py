@@ -9,7 +9,7 @@ import numpy as np
 
 from ..device import close_loop
 from ..errors import DataError, ForearmError, ScenarioError
-from ..rendering import Record, bridged, place
+from ..rendering import Record, bridged, on_record_bins
 from ..results.run import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.actuators import ACTUATORS
@@ -38,7 +38,7 @@ def check_samples(scenario: Scenario) -> None:
     except ForearmError:  # in words of its own, when it is solved
         return
     try:
-        place(bridged(g).transfer, Record.of(scenario.sweep.sample_rate, scenario.sweep.duration))
+        on_record_bins(bridged(g).transfer, Record.of(scenario.sweep.sample_rate, scenario.sweep.duration))
     except DataError as problem:
         raise ScenarioError(
             f"sweep.frequencies: by the flat twin, {problem}; for G alone set rendering.methods = []"

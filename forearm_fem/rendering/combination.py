@@ -12,7 +12,7 @@ from .drives import Aim
 from .funneling import Funneling, Weights, settled_weights
 from .inverse_filter import LEAST_ERROR, aim_at
 from .inversion import Regularisation
-from .spectrum import Placed
+from .spectrum import BinnedTransfer
 from .zeros import AutoZeros, Zeros, settled_zeros
 
 
@@ -32,7 +32,7 @@ class Combination:
     weights: Weights | None = field(default=None, repr=False, compare=False)
     name: str = "combination"
 
-    def aim(self, placed: Placed, target: str, wavelet: ComplexArray) -> Aim:
+    def aim(self, placed: BinnedTransfer, target: str, wavelet: ComplexArray) -> Aim:
         """Drive spectra towards output ``target``; ``wavelet`` (n_bins,) [1/Hz]."""
         funneling = Funneling(self.amplitude, self.weights).aim(placed, target, wavelet)
         row = placed.bins.values[:, placed.row(target)]
@@ -44,7 +44,7 @@ class Combination:
         """The same renderer with other zero points."""
         return replace(self, zeros=zeros)
 
-    def settled(self, placed: Placed, targets: Sequence[str]) -> Combination:
+    def precomputed_for_targets(self, placed: BinnedTransfer, targets: Sequence[str]) -> Combination:
         """The same renderer with zero points and shares found for ``targets``, as far as places tell."""
         weights = settled_weights(self.weights, placed, targets)
         return replace(self, zeros=settled_zeros(self.zeros, placed, targets), weights=weights)

@@ -11,7 +11,7 @@ from ..typing import ComplexArray
 from .drives import Aim
 from .funneling import absent_inputs, known_bins
 from .inversion import Control, Regularisation, decomposed, least_squares
-from .spectrum import Placed
+from .spectrum import BinnedTransfer
 from .zeros import AutoZeros, Zeros, chosen_zeros, settled_zeros, within_thesis
 
 LEAST_ERROR = 0.02  # e(f): no G of an arm is known better, and what S gains from less is its own error
@@ -36,7 +36,7 @@ class InverseFilter:
     least_error: float = LEAST_ERROR
     name: str = "inverse filter"
 
-    def aim(self, placed: Placed, target: str, wavelet: ComplexArray) -> Aim:
+    def aim(self, placed: BinnedTransfer, target: str, wavelet: ComplexArray) -> Aim:
         """Drive spectra towards output ``target``; ``wavelet`` (n_bins,) [1/Hz]."""
         return aim_at(placed, target, self.peak * wavelet, self.zeros, self.regularisation or self.least_error)
 
@@ -44,13 +44,17 @@ class InverseFilter:
         """The same renderer with other zero points."""
         return replace(self, zeros=zeros)
 
-    def settled(self, placed: Placed, targets: Sequence[str]) -> InverseFilter:
+    def precomputed_for_targets(self, placed: BinnedTransfer, targets: Sequence[str]) -> InverseFilter:
         """The same renderer with its zero points found for ``targets``, as far as places tell."""
         return replace(self, zeros=settled_zeros(self.zeros, placed, targets))
 
 
 def aim_at(
-    placed: Placed, target: str, displacement: ComplexArray, zeros: Zeros, regularisation: Regularisation | float
+    placed: BinnedTransfer,
+    target: str,
+    displacement: ComplexArray,
+    zeros: Zeros,
+    regularisation: Regularisation | float,
 ) -> Aim:
     """Drive spectra for ``displacement`` (n_bins,) [m/Hz] at output ``target`` and none at the zero points.
 
@@ -77,7 +81,7 @@ def aim_at(
     return towards(chosen_zeros(zeros, placed, target, towards))
 
 
-def control_of(placed: Placed, names: Iterable[str]) -> Control:
+def control_of(placed: BinnedTransfer, names: Iterable[str]) -> Control:
     """Control points by name, decomposed here unless ``placed`` has them already.
 
     Rows are in G's order whoever asks, so that drives are the same to the last bit either way. Raises DataError where G

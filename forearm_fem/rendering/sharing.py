@@ -8,7 +8,7 @@ from typing import Protocol, Self, runtime_checkable
 
 from .drives import Renderer
 from .inverse_filter import control_of
-from .spectrum import Placed
+from .spectrum import BinnedTransfer
 from .zeros import FixedZeros
 
 
@@ -16,29 +16,33 @@ from .zeros import FixedZeros
 class Settling(Renderer, Protocol):
     """A renderer that can say beforehand what it takes from places."""
 
-    def settled(self, placed: Placed, targets: Sequence[str]) -> Self:
+    def precomputed_for_targets(self, placed: BinnedTransfer, targets: Sequence[str]) -> Self:
         """The same renderer with all that follows from where ports are found for ``targets``."""
 
 
 def prepared(
-    placed: Placed, methods: Iterable[Renderer], targets: Sequence[str]
-) -> tuple[Placed, tuple[Renderer, ...]]:
-    """G and renderers with all that aims at ``targets`` share: :func:`settled`, then :func:`with_controls`."""
-    found = settled(methods, placed, targets)
+    placed: BinnedTransfer, methods: Iterable[Renderer], targets: Sequence[str]
+) -> tuple[BinnedTransfer, tuple[Renderer, ...]]:
+    """G and renderers with all that aims at ``targets`` share: :func:`precomputed_for_targets`, then
+    :func:`with_controls`."""
+    found = precomputed_for_targets(methods, placed, targets)
     return with_controls(placed, found, targets), found
 
 
-def settled(methods: Iterable[Renderer], placed: Placed, targets: Sequence[str]) -> tuple[Renderer, ...]:
+def precomputed_for_targets(
+    methods: Iterable[Renderer], placed: BinnedTransfer, targets: Sequence[str]
+) -> tuple[Renderer, ...]:
     """The same renderers with zero points and shares of funneling found for ``targets``, so that draws of G find them
     there; for any G with the ports of ``placed`` whose inputs are known as there.
 
     Zero points that are searched stay a search. Raises as :meth:`.Renderer.aim` for ports that a renderer cannot serve.
     """
-    return tuple(m.settled(placed, targets) if isinstance(m, Settling) else m for m in methods)
+    return tuple(m.precomputed_for_targets(placed, targets) if isinstance(m, Settling) else m for m in methods)
 
 
-def with_controls(placed: Placed, methods: Iterable[Renderer], targets: Sequence[str]) -> Placed:
-    """The same G with each set of control points by which settled ``methods`` aim at ``targets`` decomposed once.
+def with_controls(placed: BinnedTransfer, methods: Iterable[Renderer], targets: Sequence[str]) -> BinnedTransfer:
+    """The same G with each set of control points by which precomputed_for_targets ``methods`` aim at ``targets``
+    decomposed once.
 
     Corners of the thesis' grid have the control points of its middle, and where all other points are held still every
     target has the same. Drives are the same to the last bit. Raises as :func:`.control_of`.

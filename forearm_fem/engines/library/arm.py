@@ -29,7 +29,7 @@ from ..engine import refuse_unheld
 from ..layered import flat_layers
 from ..solved import Solved
 from .between import Bands, Lattice, Prior, Shape, shape_of
-from .limb import Limb, deviation_held, held, real_product
+from .limb import ModalCompliance, constrained_compliance, deviation_held, real_product
 from .loads import flat_compliance
 from .skin import FlatSkin, flat_skin
 
@@ -76,14 +76,14 @@ class _Asked:
 class ArmLibrary:
     """Answers for any arrangement of discs on the patch of ``scenario``'s limb.
 
-    Bells of ``width`` [m] push along the normal at ``centres`` (n, 2) [m] in flat coordinates, and along u, then along
-    v, at ``sideways`` (s, 2), none but for bonded discs; ``fine`` is the limb through them, in this order, ``coarse``
-    on a second mesh whose nodes are ``ratio`` times as far apart (None where there is none), ``freed`` with free ends
-    (None where none absorb). ``flat`` (n_part, n_node, 1 or 4, n_distance) are the twin's integrals between two bells
-    at ``distances`` [m], at the nodes of :class:`Bands`; ``twin`` the twin for discs. ``spread`` (n_part, 3, n_bin) is
-    the standard deviation [m/N] of what is interpolated, by distance (``bins`` (n_bin,) [m]), in units of the prior:
-    along the normal, between it and the skin, and along the skin. ``reduction`` (3, n) are frequencies [Hz] and the
-    reduced model's e(f) there, against direct solves, along the normal and along the skin, ``missed`` (n, 3, n_bin)
+    Gaussian loads of ``width`` [m] push along the normal at ``centres`` (n, 2) [m] in flat coordinates, and along u,
+    then along v, at ``sideways`` (s, 2), none but for bonded discs; ``fine`` is the limb through them, in this order,
+    ``coarse`` on a second mesh whose nodes are ``ratio`` times as far apart (None where there is none), ``freed`` with
+    free ends (None where none absorb). ``flat`` (n_part, n_node, 1 or 4, n_distance) are the twin's integrals between
+    two bells at ``distances`` [m], at the nodes of :class:`Bands`; ``twin`` the twin for discs. ``spread`` (n_part, 3,
+    n_bin) is the standard deviation [m/N] of what is interpolated, by distance (``bins`` (n_bin,) [m]), in units of the
+    prior: along the normal, between it and the skin, and along the skin. ``reduction`` (3, n) are frequencies [Hz] and
+    the reduced model's e(f) there, against direct solves, along the normal and along the skin, ``missed`` (n, 3, n_bin)
     [m/N] what it is off there by distance.
     """
 
@@ -91,9 +91,9 @@ class ArmLibrary:
     centres: FloatArray
     sideways: FloatArray
     width: float
-    fine: Limb
-    coarse: Limb | None
-    freed: Limb | None
+    fine: ModalCompliance
+    coarse: ModalCompliance | None
+    freed: ModalCompliance | None
     ratio: float
     distances: FloatArray
     flat: ComplexArray
@@ -178,14 +178,14 @@ class ArmLibrary:
             parts.append(_Part(int(b), number == b, weights, seen, variance))
         return _Asked(ports, frequency, places, owner, way, twin, tuple(parts))
 
-    def _answer(self, asked: _Asked, limb: Limb) -> tuple[Compliance, ComplexArray]:
+    def _answer(self, asked: _Asked, limb: ModalCompliance) -> tuple[Compliance, ComplexArray]:
         """C through ``limb``, and what holding the discs takes, B."""
         free, carry = asked.twin.values.copy(), self.bands.between(asked.frequency)
         point = np.array([port.kind == "point" for port in asked.ports])[asked.owner]
         for part in asked.parts:
             apart = limb.between(asked.frequency[part.mine], part.weights, ~(point[:, None] & point))
             free[part.mine] += apart - np.einsum("fn,nij->fij", carry[part.mine], part.flat)
-        values, hold = held(0.5 * (free + free.swapaxes(1, 2)), len(asked.ports))
+        values, hold = constrained_compliance(0.5 * (free + free.swapaxes(1, 2)), len(asked.ports))
         return Compliance(asked.frequency, values, asked.ports), hold
 
     def _stated(self, asked: _Asked) -> Compliance:

@@ -22,9 +22,9 @@ from ...typing import ComplexArray, FloatArray
 from ..layered import flat_layers, flat_surface, kept_tables, tables_reach
 from .arm import WIDTH, ArmLibrary, library_band, library_skin
 from .between import Bands, Lattice
-from .limb import Limb
-from .loads import Bells, between_flat_bells, flat_compliance, pair_distances
-from .side import BIN, LoadedSkin, Side, solved_side
+from .limb import ModalCompliance
+from .loads import GaussianLoads, between_flat_bells, flat_compliance, pair_distances
+from .side import BIN, LoadedSkin, MeshPart, solved_side
 from .skin import FlatSkin
 
 # ``library.nc``: an arm's library as one file that can be shared.
@@ -41,9 +41,9 @@ class LibraryFile:
     centres: FloatArray = field(metadata=dims("bell uv", units="m"))
     sideways: FloatArray = field(metadata=dims("sideways_bell uv", units="m"))
     width: float
-    fine: Limb
-    coarse: Limb | None
-    freed: Limb | None
+    fine: ModalCompliance
+    coarse: ModalCompliance | None
+    freed: ModalCompliance | None
     ratio: float
     distances: FloatArray = field(metadata=dims("distance", units="m"))
     flat: ComplexArray = field(metadata=dims("part node integral distance"))
@@ -124,7 +124,7 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
     return _judged(library)
 
 
-def _seconds(side: Side | None) -> float:
+def _seconds(side: MeshPart | None) -> float:
     """Seconds that a part took, over all calls that made it."""
     return 0.0 if side is None else sum(s for name, s in side.facts.items() if name.startswith("seconds_"))
 
@@ -150,7 +150,7 @@ def loaded_skin(scenario: Scenario) -> LoadedSkin:
     """All loads: along the normal, then along u, then along v."""
     skin, centres, sideways = library_skin(scenario), normal_lattice(scenario), sideways_lattice(scenario)
     axes = np.concatenate([skin.places(centres)[1], *skin.tangents(sideways)])
-    bells = Bells(np.vstack([centres, sideways, sideways]), axes, WIDTH * scenario.library.step)
+    bells = GaussianLoads(np.vstack([centres, sideways, sideways]), axes, WIDTH * scenario.library.step)
     return LoadedSkin(skin, bells, len(centres))
 
 
@@ -189,7 +189,7 @@ def meshed_scenario(scenario: Scenario, skin: FlatSkin) -> Scenario:
     return parse_scenario({**data, "device": device, "grid": {"points": places.tolist()}, "rendering": rendering})
 
 
-def _second_side(meshed: Scenario, loaded: LoadedSkin, base: Path, progress: Progress | None) -> Side | None:
+def _second_side(meshed: Scenario, loaded: LoadedSkin, base: Path, progress: Progress | None) -> MeshPart | None:
     """The second mesh's part; None where none was asked for or could be made."""
     if not meshed.solver.discretisation_estimate:
         return None

@@ -25,7 +25,7 @@ from ...scenario import Scenario
 from ...store.folder import check_kind, set_kind, write_text
 from ...store.text import plain
 from ...transfer import UNITS, ErrorEstimate, TransferMatrix
-from ..predict.arm import as_wrong
+from ..predict.arm import perturbed_answers
 from .compare import Comparison, compare
 from .fit import DELAY, FALLBACK_NOISE, SCALE, FitResult, fit, moved_by, with_model_error, with_scattered_error
 from .next_best import NextBest, next_best
@@ -228,7 +228,7 @@ def _with_model_errors(
         f"numerics: the elements err by an e_band of {100 * estimate.band:.2g} % there, which intervals hold; what "
         "cutting the limb errs by is in none, a run of the scene states it as truncation"
     )
-    wrong = [answering(close_loop(c, arm.device), data).values for c in as_wrong(found, [missed.of(found)])]
+    wrong = [answering(close_loop(c, arm.device), data).values for c in perturbed_answers(found, [missed.of(found)])]
     by_chance = moved_by(lambda values: answering(own(values), data), data, result, wrong)
     return with_scattered_error(with_model_error(result, moved, 1.0), by_chance), said
 

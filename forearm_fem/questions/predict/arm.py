@@ -173,7 +173,7 @@ class ReducedArm:
 
     def holds(self, scenario: Scenario) -> str:
         """See :class:`.Engine`: what the reduced terms can follow, on the mesh of its scene."""
-        return self.model.holds(on_mesh_of(self.scenario, scenario))
+        return self.model.holds(with_scene_geometry(self.scenario, scenario))
 
     @property
     def held(self) -> frozenset[str]:
@@ -204,7 +204,7 @@ class ReducedArm:
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
         """See :class:`ArmModel`: each error may be missed by its size at each pair of ports, alike at all of them or in
         any phase at each."""
-        own = on_mesh_of(self.scenario, scenario)  # but with its own grid where both meshes can read it
+        own = with_scene_geometry(self.scenario, scenario)  # but with its own grid where both meshes can read it
         laid = own.changed({"grid": scenario.grid})
         models = [self.model] if self.meshes is None else [self.model, self.meshes.second]
         own = laid if all(m.follows(laid) for m in models) else own
@@ -217,7 +217,7 @@ class ReducedArm:
         if own != scenario:
             found, *geometry = self._changed(found, scenario, own)
             off += geometry
-        return Answer(found, as_wrong(found, off), frozenset(e.source for e in found.errors))
+        return Answer(found, perturbed_answers(found, off), frozenset(e.source for e in found.errors))
 
     def _changed(self, found: Compliance, scenario: Scenario, own: Scenario) -> tuple[Compliance, Any, FloatArray]:
         """The answer with what geometry changes between two draws, what of that change may be wrong, and the twin's
@@ -275,7 +275,7 @@ def _nearness(scenario: Scenario) -> float:
     return max((radius / distance if distance > 0 else math.inf for radius, distance in apart), default=0.0)
 
 
-def as_wrong(found: Compliance, off: Sequence[ComplexArray | FloatArray]) -> tuple[Compliance, ...]:
+def perturbed_answers(found: Compliance, off: Sequence[ComplexArray | FloatArray]) -> tuple[Compliance, ...]:
     """Answers as wrong as each error of ``off`` (n, n_port, n_port) [m/N] may make them, in any phase: every other one
     alike at all pairs of ports, as where the same waves decay too much everywhere, the rest at each pair by chance.
 
@@ -304,7 +304,7 @@ def _parts(frequency: tuple[float, ...], ports: int, errors: int) -> tuple[tuple
     return tuple(found)
 
 
-def on_mesh_of(scene: Scenario, draw: Scenario) -> Scenario:
+def with_scene_geometry(scene: Scenario, draw: Scenario) -> Scenario:
     """The ``draw`` with the geometry that the mesh of the ``scene`` has."""
     return draw.changed({"limb": scene.limb, "grid": scene.grid, "device.cone.radius": scene.device.cone.radius})
 
@@ -329,7 +329,7 @@ def arm_model(
         )
     if scenario.engine == "layered" or twin:
         return LayeredArm(scenario.engine == "fem")
-    known = [on_mesh_of(scenario, d) for d in draws]
+    known = [with_scene_geometry(scenario, d) for d in draws]
     model = parametric_model(scenario, base=base, draws=known or None, progress=progress)
     try:
         meshes, without = arm_meshes(scenario, base, known or None, within(progress, "coarser mesh")), ""
