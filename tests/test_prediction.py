@@ -1,4 +1,5 @@
-"""Predictions on the twin: what noise and belief do to S, resuming, processes, statistics by hand, the command."""
+"""Predictions on the layered model: what noise and belief do to S, resuming, processes, statistics by hand, the
+command."""
 
 from __future__ import annotations
 
@@ -198,7 +199,7 @@ def test_renderers_believe_the_grid_where_it_was_laid_out() -> None:
 
 
 def test_the_arm_model_states_its_error_and_keeps_it() -> None:
-    """A rigid cone with tension: fewer terms against the twin as it solves a scene."""
+    """A rigid cone with tension: fewer terms against the layered model as it solves a scene."""
     from forearm_fem.engines.layered import solve_layered
 
     scene = parse_scenario({"engine": "layered", "tissues": {"membrane": {"tension": 40.0}}, "limb": {"bones": []}})
@@ -207,7 +208,7 @@ def test_the_arm_model_states_its_error_and_keeps_it() -> None:
     difference = np.nanmax(np.abs(fast.values - truth.values), axis=(1, 2))
     assert (difference / np.nanmax(np.abs(truth.values), axis=(1, 2)) <= np.array(fast.errors[0].per_frequency)).all()
     assert fast.errors[0].band < 0.05
-    assert "solved by finite elements" in arm_model(parse_scenario({}), twin=True).left_out
+    assert "solved by finite elements" in arm_model(parse_scenario({}), layered=True).left_out
     assert "solved by finite elements" not in arm_model(scene).left_out
 
 
@@ -302,7 +303,7 @@ def test_an_error_of_known_shape_is_no_noise() -> None:
 
 def test_arms_of_shorter_waves_than_the_mesh_was_made_for_are_told(found: tuple[Prediction, Path]) -> None:
     whole, _ = found
-    assert shorter_waves(whole) is None  # the twin has no mesh
+    assert shorter_waves(whole) is None  # the layered model has no mesh
     scene, drivers = parse_scenario({}), np.array(whole.draws.drivers)
     for tissue, soft in (("skin", 9.0), ("muscle", 9.0), ("fat", 0.25)):  # half as long in every second arm's fat
         own = abs(complex(resolve_tissues(scene)[tissue].modulus.at(2 * np.pi * 150.0)))

@@ -6,8 +6,8 @@ You design a sleeve with vibration motors and want to know whether it can aim at
 its actuators should sit. A real calibration takes a laser vibrometer and a day; here the transfer matrix comes from a
 model of the arm.
 
-The flat twin (``engine = "layered"``) answers in seconds. Leave that line out and the same script meshes and solves a
-whole forearm; it takes minutes and adds bones, curvature and cut ends.
+The layered model (``engine = "layered"``) answers in seconds. Leave that line out and the same script meshes and solves
+a whole forearm; it takes minutes and adds bones, curvature and cut ends.
 """
 
 # %%

@@ -27,8 +27,8 @@ _ON_BIN = 1e-3  # of a bin: as for G's own samples
 def check_samples(scenario: Scenario) -> None:
     """Raise :class:`ScenarioError` where ``sweep.frequencies`` are too far apart to render on the bins between them.
 
-    Judged as G itself will be, on the flat twin of the same layers and device; for the user's own limb, which has none,
-    see :func:`sample_notes`.
+    Judged as G itself will be, on the layered model of the same layers and device; for the user's own limb, which has
+    none, see :func:`sample_notes`.
     """
     if not _between(scenario) or isinstance(scenario.limb, MeshLimb | SurfacesLimb):
         return
@@ -41,7 +41,7 @@ def check_samples(scenario: Scenario) -> None:
         on_record_bins(bridged(g).transfer, Record.of(scenario.sweep.sample_rate, scenario.sweep.duration))
     except DataError as problem:
         raise ScenarioError(
-            f"sweep.frequencies: by the flat twin, {problem}; for G alone set rendering.methods = []"
+            f"sweep.frequencies: by the layered model, {problem}; for G alone set rendering.methods = []"
         ) from None
 
 

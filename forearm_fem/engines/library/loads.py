@@ -19,7 +19,7 @@ from ...layered.integrals import Integrals, Medium
 from ...typing import ComplexArray, FloatArray, IntArray
 from .skin import FlatSkin
 
-# Gaussian loads on the limb's flat twin, along its normal and along it.
+# Gaussian loads on the limb's layered model, along its normal and along it.
 # Two bells at a distance d meet in four integrals :math:`K_q=\frac1{2\pi}\int_0^\infty k\,U\,e^{-k^2w^2}J_q(kd)\,dk`
 # over the surface compliance: U is zz, zx, and half the sum and half the difference of the compliances along and across
 # a wave (:mod:`forearm_fem.layered.discs`). With the unit vector e from the one that pushes to the one that reads,

@@ -66,7 +66,7 @@ def shorter_waves(prediction: Prediction) -> dict[str, float] | None:
     """Of arms on a mesh: the ``share`` whose shear waves at 150 Hz are shorter in some tissue than the scene's own, for
     which the mesh was made, and the ``factor`` that one in twenty exceeds; None where arms have no mesh."""
     question, draws = prediction.question, prediction.draws
-    if question.scenario.engine != "fem" or question.twin:
+    if question.scenario.engine != "fem" or question.layered:
         return None
     own = {f"{n} stiffness": abs(complex(t.modulus.at(2 * np.pi * REFERENCE)))
            for n, t in resolve_tissues(question.scenario).items()}  # fmt: skip

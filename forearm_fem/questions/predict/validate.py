@@ -62,7 +62,7 @@ def validate(
     comparison as Table I. Raises ScenarioError for scenes without the thesis' grid and targets or without layers.
     """
     if question.scenario.engine != "layered":
-        raise ScenarioError("validate draws arms on the twin; set engine=layered (what it leaves out is said)")
+        raise ScenarioError("validate draws arms on the layered model; set engine=layered (what it leaves out is said)")
     outputs = planform_ports(question.scenario)[0]
     if not is_thesis_grid(outputs):
         raise ScenarioError("validate compares with Table I, which is of 3 x 3 points; leave grid as in the thesis")

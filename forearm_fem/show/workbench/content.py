@@ -45,7 +45,7 @@ from ...typing import FloatArray
 from ..data import PREDICTION, Results
 from ..style import METHODS, TISSUES
 from .field import Field, solved_field
-from .flat import between_points, twin_field
+from .flat import between_points, layered_field
 from .packed import amplitudes_in_half_precision, in_half_precision, packed
 from .places import LibraryOfArm, Places, patch_field, places_of
 
@@ -125,7 +125,7 @@ def _packed_places(places: Places, arm: LibraryOfArm, scenario: Scenario) -> dic
             "alpha": packed(near.alpha, "c16"),  # large and of both signs
             "scale": near.scale,
         },
-        **{k: packed(getattr(places, k), "c8") for k in ("twin", "left", "right")},
+        **{k: packed(getattr(places, k), "c8") for k in ("layered", "left", "right")},
         "home": layout.contacts.tolist(), "half": [patch.length / 2, patch.width / 2], "radius": places.radius,
         "reach": float(places.radii[-1]), "scale": places.scale, "pressed": scenario.device.cone.contact == "pressure",
     }  # fmt: skip
@@ -230,7 +230,7 @@ def _field(results: Results, bins: FloatArray) -> Field:
     if results.has_field:
         return _on_bins(solved_field(results), results.wavefield.frequency, scenario, bins)
     if scenario.engine == "layered" and any(p.kind == "contact" for p in ports):
-        return twin_field(scenario, ports, bins)
+        return layered_field(scenario, ports, bins)
     return between_points(results.transfer.outputs)
 
 

@@ -1,4 +1,4 @@
-"""A flat piece of skin for what has no mesh: the layered twin's own field, or what lies between measured points."""
+"""A flat piece of skin for what has no mesh: the layered model's own field, or what lies between measured points."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from .field import Field, Surface, few_shapes
 
 _MM = 1e3
 _SIDE = 61  # vertices along the longer side
-_MARGIN = 0.016  # [m] of skin around the twin's ports
+_MARGIN = 0.016  # [m] of skin around the layered model's ports
 _AT_ONCE = 12  # radii: motion from each to each is computed too, unasked
 _APART = 2.0**-9  # [m] between radii: 2 mm
 _TOLERANCE = 1e-3  # of the picture's field; G itself is as the run computed it
 
 
-def twin_field(scenario: Scenario, ports: tuple[Port, ...], frequency: FloatArray) -> Field:
-    """The layered twin's normal motion around its ports per newton on each contact, at ``frequency`` (n,) [Hz].
+def layered_field(scenario: Scenario, ports: tuple[Port, ...], frequency: FloatArray) -> Field:
+    """The layered model's normal motion around its ports per newton on each contact, at ``frequency`` (n,) [Hz].
 
     Layers without end look alike from everywhere: one contact's motion at growing distance serves them all. Waves that
     rigid cones scatter are left out here, not in G.
@@ -35,7 +35,7 @@ def twin_field(scenario: Scenario, ports: tuple[Port, ...], frequency: FloatArra
     motion = np.asarray(CubicSpline(radii, motion_at, axis=1)(far))
     shapes, amplitudes, error = few_shapes(motion)
     words = (
-        "flat skin of the layered twin, which has no limb; waves scattered by rigid cones are in G, not in the picture"
+        "flat skin of the layered model, which has no limb; waves scattered by rigid cones are in G, not in the picture"
     )
     return Field((_with(surface, shapes[:, None, :]),), amplitudes, error, words)
 

@@ -29,7 +29,7 @@ function failed(problem) {
 function head(content) {
   $("name").textContent = content.name;
   $("description").textContent = content.description;
-  const engine = content.model.kind === "transfer" ? "a G that was given" : content.model.kind === "places" ? "an arm's library: actuators can be dragged" : content.engine === "layered" ? "layered twin: flat, endless layers" : "finite elements";
+  const engine = content.model.kind === "transfer" ? "a G that was given" : content.model.kind === "places" ? "an arm's library: actuators can be dragged" : content.engine === "layered" ? "layered model: flat, endless layers" : "finite elements";
   $("badge").textContent = `${engine} · ${content.inputs.length} actuators · ${content.outputs.length} points`;
   $("stamp").textContent = `${content.stamp}${content.stamp.includes("forearm_fem") ? "" : ` · forearm_fem ${content.program}`} · e^{+iωt}, displacement positive out of the skin`;
 }
