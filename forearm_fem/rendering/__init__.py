@@ -9,10 +9,9 @@
 """
 
 from .bridging import Bridged, Interpolation, bridged
-from .combination import Combination
 from .drives import Aim, Displacements, Drives, Renderer, displacements, drives, scale_to, scaled
 from .funneling import Funneling, funneling_weights
-from .inverse_filter import InverseFilter
+from .inverse_filter import Combination, InverseFilter
 from .inversion import Inversion, Regularisation, invert
 from .limits import DriveReport, Limits, beyond_limits, check
 from .rendered import Rendered, Rendering, render_all, strengths, thesis_renderers

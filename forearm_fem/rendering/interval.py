@@ -18,8 +18,8 @@ from ..transfer import ErrorEstimate, TransferMatrix, between, error_of_pairs, r
 from ..typing import FloatArray
 from .bridging import with_wider_ends
 from .drives import Renderer
+from .inverse_filter import precomputed_for_targets
 from .rendered import Rendering, strengths
-from .sharing import precomputed_for_targets
 from .spectrum import on_record_bins
 from .wavelet import Wavelet, Window
 from .zeros import FixedZeros, SearchedZeros

@@ -25,16 +25,14 @@ from ..transfer import UNITS, TransferMatrix
 from ..typing import FloatArray
 from ..usercode import is_code, named
 from .bridging import bridged
-from .combination import Combination
 from .drives import Renderer, displacements, drives
 from .funneling import Funneling, funneling_weights
 from .interval import Strength, strength_of
-from .inverse_filter import LEAST_ERROR, InverseFilter
+from .inverse_filter import LEAST_ERROR, Combination, InverseFilter, prepared
 from .inversion import Regularisation
 from .lattice import lattice_of
 from .limits import Limits, limits_of
 from .rendered import Rendering, render_all
-from .sharing import prepared
 from .spectrum import Record, on_record_bins, place_on_bins
 from .wavelet import Wavelet, Window, from_samples_file, ricker, window_of
 from .zeros import AutoZeros, SearchedZeros, ThesisZeros

@@ -18,13 +18,11 @@ from ..progress import Progress, tell
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .bridging import Bridged, bridged
-from .combination import Combination
 from .drives import Displacements, Drives, Renderer, displacements, drives
 from .funneling import Funneling
-from .inverse_filter import InverseFilter
+from .inverse_filter import Combination, InverseFilter, prepared
 from .lattice import is_thesis_grid
 from .limits import DriveReport, Limits, beyond_limits, check
-from .sharing import prepared
 from .spectrum import on_record_bins
 from .wavelet import Wavelet, Window, ricker, window_of
 
