@@ -12,7 +12,6 @@ from ..scenario.device import ActuatorArray, AnyHousing, Device, HeldHousing, Vo
 from ..transfer import Compliance
 from ..typing import BoolArray, ComplexArray, FloatArray
 
-
 # The voice coil as a lumped circuit (physics_data.md 4), one frequency axis at a time.
 # V = (Re + i omega Le) I + Bl i omega (x1 - x2), and the coil pushes the cone with Bl I. Positive voltage
 # pushes outward, along the port's axis. Linear: no Le(x), no Bl(x), no heating of Re.
