@@ -78,7 +78,7 @@ def predict(
 
     What is done is kept in ``folder``, so that a prediction goes on where it was stopped; without one in none that
     stays. ``workers`` processes share the work (1: this one); ``options`` are those of
-    :class:`.Question`: ``seed``, ``laws``, ``held``, ``twin``.
+    :class:`.Question`: ``seed``, ``laws``, ``held``, ``layered``.
     """
     from .questions.predict.run import Question
     from .questions.predict.run import predict as predict_question

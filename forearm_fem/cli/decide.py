@@ -46,8 +46,8 @@ def predict(
         list[str] | None,
         typer.Option(help="keep the scenario's value of an input or group, e.g. tissue, placement, 'signal to noise'"),
     ] = None,
-    twin: Annotated[
-        bool, typer.Option("--twin/--own", help="arms on the layered twin, or by the scene's own engine")
+    layered: Annotated[
+        bool, typer.Option("--layered/--own", help="arms on the layered model, or by the scene's own engine")
     ] = False,
     resume: Annotated[bool, typer.Option("--resume/--anew", help="go on with draws that the folder holds")] = True,
     workers: Annotated[int | None, typer.Option(min=1, help="processes; default: what cores and memory allow")] = None,
@@ -64,7 +64,7 @@ def predict(
         from ..questions.predict.run import Question
         from ..questions.predict.run import predict as run
 
-        question = Question(asked, scenario.parent, seed, tuple(law or LAWS), tuple(hold or ()), twin)
+        question = Question(asked, scenario.parent, seed, tuple(law or LAWS), tuple(hold or ()), layered)
         found = run(
             question, folder, draws=draws, resume=resume, workers=workers, scheduler=scheduler, progress=display
         )

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from .. import __version__
 from ..errors import DataError
-from ..geometry.limb.bending import with_bends
+from ..geometry.limb.tube import with_bends
 from ..geometry.mesh.files import read_mesh
 from ..geometry.mesh.tissue_mesh import TissueMesh, with_finer_skin
 from ..ports import Port, positions
@@ -211,7 +211,7 @@ class Results:
     @cached_property
     def stamp(self) -> str:
         """Scene, mesh and version in one line, for the foot of each figure."""
-        mesh = "layered twin, no mesh" if self.scenario.engine == "layered" else "no mesh"
+        mesh = "layered model, no mesh" if self.scenario.engine == "layered" else "no mesh"
         mesh = mesh if "scenario" in self.transfer.provenance else "measured G"
         if self.mesh_hash:
             mesh = f"mesh {self.mesh_hash[:10]}"

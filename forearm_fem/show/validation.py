@@ -74,16 +74,16 @@ _PURPOSE = (
 _UNEXPLAINED = (
     "Edges by funneling and corners by the combination are the thesis' entries that the arms explain least (the table "
     "above says in whose bands they lie). Nothing that was changed alone brings both to the thesis' values (version "
-    "0.13.1, S over the whole record but where it says otherwise; the flat "
-    "twin unless it says FE). The last row was chosen afterwards: it shows that a cause can be enough, not that it is "
-    "the cause. Nothing was fitted to Table I.\n"
+    "0.13.1, S over the whole record but where it says otherwise; the layered "
+    "model unless it says FE). The last row was chosen afterwards: it shows that a cause can be enough, not that it "
+    "is the cause. Nothing was fitted to Table I.\n"
 )
 _TRIED = (
     ("nothing (FE, Kelvin-Voigt)", "1.12", "6.61"),
     ("standard linear solid, mu_infinity/mu 1.4 (FE)", "1.29", "3.65"),
     ("fat 1.8 times as stiff (FE)", "1.16", "5.51"),
     ("two actuators on springs of 50 N/m (FE)", "1.02", "6.82"),
-    ("nothing (twin)", "1.08", "7.15"),
+    ("nothing (layered model)", "1.08", "7.15"),
     ("noise of 30 dB", "1.09", "4.30"),
     ("the same, S over -30 to 50 ms", "1.13", "6.64"),
     ("skin tension of 92 N/m", "1.28", "5.31"),

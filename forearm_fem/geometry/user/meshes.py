@@ -17,8 +17,7 @@ from ..device.layout import Layout
 from ..limb.filling import oriented
 from ..mesh.files import read_quietly
 from ..mesh.formats import volumes_of_gmsh
-from ..mesh.tissue_mesh import TissueMesh
-from ..mesh.topology import FACES, SIDES, boundary_faces, keys, mean_ratios, pieces
+from ..mesh.tissue_mesh import FACES, SIDES, TissueMesh, boundary_faces, keys, mean_ratios, pieces
 from .checks import check_extent, check_room, with_boundaries, without_bone
 from .surfaces import at_words
 
@@ -197,8 +196,8 @@ def _tetrahedra(file: Path, read: Any) -> IntArray:
     if others:
         raise MeshError(f"{file}: contains {_some(sorted(others))} cells, but only tetrahedra can be used; split them")
     if not blocks:
-        found = _some(sorted(kinds)) or "nothing"
-        raise MeshError(f"{file}: contains no tetrahedra (only {found}); mesh the volume, not the surface")
+        found = f" (only {_some(sorted(kinds))})" if kinds else ""
+        raise MeshError(f"{file}: contains no tetrahedra{found}; mesh the volume, not the surface")
     return np.vstack(blocks).astype(np.int64)
 
 
