@@ -9,15 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..accuracy.estimates import short_verdict
 from ..metrics.strength import strength_text
 from ..ports import positions
 from ..rendering.limits import not_counted_words
 from ..scenario import Scenario
 from ..scenario.shipped import shipped_scenarios
-from ..transfer import total_error
 from .data import Results
-from .facts import _device, _grid, limb_words
+from .facts import _device, _grid, accuracy_words, capital, limb_words
 from .judge import Strengths, strengths
 
 PEOPLE = 1.5
@@ -88,15 +86,15 @@ def answer_of(results: Results, data: Strengths) -> list[str]:
         means = f"mean S {strength_text(best.mean)}" if not math.isnan(best.mean) else "mean S unknown"
         least = f", least {strength_text(best.least)} at point {best.least_at}" if best.points > 1 else ""
         which = "best method" if rest else "method"
-        said.append(f"{_capital(headline(data))}; {which} {best.method}: {means}{least}.")
+        said.append(f"{capital(headline(data))}; {which} {best.method}: {means}{least}.")
     else:
-        said.append(f"{_capital(headline(data))}: every point lies under or beside a motor.")
+        said.append(f"{capital(headline(data))}: every point lies under or beside a motor.")
     if best.open:
         said.append(f"The numerics leave open whether S is above 1 at {_named(best.open)} ({best.method}).")
     if best.unknown:
         said.append(f"S of {best.method} is unknown at {_named(best.unknown)}.")
     if left_out := not_counted(results, data):
-        said.append(f"{_capital(left_out)}.")
+        said.append(f"{capital(left_out)}.")
     return said
 
 
@@ -108,10 +106,6 @@ def not_counted(results: Results, data: Strengths) -> str:
 
 def _named(points: Sequence[str]) -> str:
     return f"point{'' if len(points) == 1 else 's'} {', '.join(points)}"
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 def subject_of(results: Results) -> str:
@@ -162,18 +156,6 @@ def trust_of(results: Results, data: Strengths) -> str:
         if why := results.account.signal_strength.unknown:
             numerics += f": {why}"
     return f"{numerics}; {accuracy_words(results)}. {people_words(data)}"
-
-
-def accuracy_words(results: Results) -> str:
-    """The error of G beside what was asked for."""
-    sentence, total = results.account.accuracy, total_error(results.transfer.errors)
-    if not sentence:
-        return "the accuracy of G is not on record"
-    asked = f"{100 * results.scenario.accuracy:g} % asked"
-    verdict = short_verdict(sentence)
-    if math.isnan(total) or not results.transfer.errors:
-        return f"the error of G is UNKNOWN ({asked}; error sources below)"
-    return f"error of G {100 * total:.2g} % of {asked}: {verdict}"
 
 
 def people_words(data: Strengths) -> str:

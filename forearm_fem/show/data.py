@@ -210,7 +210,7 @@ class Results:
     @cached_property
     def stamp(self) -> str:
         """Scene, mesh and version in one line, for the foot of each figure."""
-        mesh = "layered twin, no mesh" if self.scenario.engine == "layered" else "no mesh"
+        mesh = "layered model, no mesh" if self.scenario.engine == "layered" else "no mesh"
         mesh = mesh if "scenario" in self.transfer.provenance else "measured G"
         if self.mesh_hash:
             mesh = f"mesh {self.mesh_hash[:10]}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
@@ -14,6 +15,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from jinja2 import Environment
+from markupsafe import Markup, escape
 from matplotlib import style
 from PIL import Image
 
@@ -125,7 +127,9 @@ class Page:
     def html(self) -> str:
         """A self-contained page that fetches nothing."""
         source = resources.files(__package__).joinpath("page.html.j2").read_text(encoding="utf-8")
-        template = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(source)
+        environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+        environment.filters["coded"] = _coded
+        template = environment.from_string(source)
         return template.render(page=self, sections=[s for s in self.sections if s.holds])
 
     def markdown(self) -> str:
@@ -148,6 +152,11 @@ class Page:
         write_text(plain, self.markdown())
         write_text(page, self.html())
         return page, plain
+
+
+def _coded(text: str) -> Markup:
+    """``text`` escaped, what stands between backticks as code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _cell(value: Any) -> str:

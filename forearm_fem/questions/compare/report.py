@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
@@ -39,12 +38,8 @@ def as_json(c: Comparison, asked: Mapping[str, Any] | None = None) -> str:
 
 def as_csv(c: Comparison) -> str:
     """One line per entry; empty cells are unknown."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_COLUMNS)
-    entries = comparison_record(c)["entries"]
-    writer.writerows([row[k] if row[k] is not None else "" for k in _COLUMNS] for row in entries)
-    return stream.getvalue()
+    table = pd.DataFrame(comparison_record(c)["entries"], columns=list(_COLUMNS))
+    return str(table.to_csv(index=False, lineterminator="\n"))
 
 
 def as_markdown(c: Comparison) -> str:

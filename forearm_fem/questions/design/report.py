@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import FigureBase
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
@@ -157,13 +156,8 @@ def write_design_report(result: DesignResult) -> None:
 
 def table(candidates: Sequence[Candidate]) -> str:
     """One line per candidate: its values, numbers, S by target, what does not hold."""
-    rows = [row(c) for c in candidates]
-    columns = list(dict.fromkeys(key for r in rows for key in r))
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return stream.getvalue()
+    rows = pd.DataFrame([row(c) for c in candidates], dtype=object)
+    return str(rows.to_csv(index=False, lineterminator="\n"))
 
 
 def row(c: Candidate) -> dict[str, Any]:
