@@ -17,11 +17,9 @@ import xarray as xr
 from jinja2 import Environment
 from markupsafe import Markup, escape
 from matplotlib import style
-from PIL import Image
 
 from ..store.folder import atomic_path, write_text
 from ..store.text import markdown_table
-from ..typing import IntArray
 from .style import SHEET, Drawn, arrange, figure_of, sign
 
 # The numbers of a figure as CSV beside it.
@@ -183,13 +181,6 @@ def embedded(drawn: Drawn, title: str, stamp: str = "", name: str = "") -> Pictu
     with style.context(SHEET):
         figure.savefig(stream, format="png", dpi=_DPI)
     return Picture(title, _text(stream), name, round(_CSS_DPI * figure.get_figwidth()))
-
-
-def photograph(pixels: IntArray, title: str) -> Picture:
-    """An image (height, width, 3) as a picture of a page."""
-    stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, "PNG")
-    return Picture(title, _text(stream))
 
 
 def _text(stream: io.BytesIO) -> str:
