@@ -20,6 +20,7 @@ from .judge import Strengths, strengths
 
 PEOPLE = 1.5
 """Factor to either side by which S differs among nine in ten arms: `forearm-fem validate` finds 1.46 to 1.55."""
+_OTHERS = f"S is of the arm that was measured; others differ by about a factor of {PEOPLE:g} to either side."
 _SURE = 0.005  # relative half width below which an interval is not worth its room
 
 
@@ -145,6 +146,8 @@ def interval_words(data: Strengths, m: int, t: int) -> str:
 def trust_of(results: Results, data: Strengths) -> str:
     """One line: how wrong the numerics may be, and that people differ."""
     half = half_widths(data)
+    if is_measured(results) and not np.isfinite(half).any():
+        return f"This G states no errors, so the uncertainty of S is unknown. {_OTHERS}"
     if np.isfinite(half).any():
         m, t = np.unravel_index(int(np.nanargmax(half)), half.shape)
         worst = float(half[m, t])
@@ -155,6 +158,8 @@ def trust_of(results: Results, data: Strengths) -> str:
         numerics = "How wrong the numerics may leave S is unknown"
         if why := results.account.signal_strength.unknown:
             numerics += f": {why}"
+    if is_measured(results):
+        return f"{numerics.replace('numerics leave', 'errors stated for G leave')}. {_OTHERS}"
     return f"{numerics}; {accuracy_words(results)}. {people_words(data)}"
 
 
@@ -181,7 +186,9 @@ def next_steps(results: Results, data: Strengths) -> list[tuple[str, str]]:
     folder, asked = shlex.quote(str(results.folder)), asked_of(results)
     steps = [("Explore the waves in a browser", f"forearm-fem workbench {folder}")]
     if is_measured(results):
-        steps.append(("See where a simulation differs from it", f"forearm-fem compare {folder} results/SIMULATED"))
+        steps.append(("Simulate the thesis' device, in seconds",
+                      "forearm-fem run thesis --set engine=layered --out results/simulated"))  # fmt: skip
+        steps.append(("See where the two differ", f"forearm-fem compare results/simulated {folder}"))
     elif data.arms is None:
         steps.append(("See what S people will have", f"forearm-fem predict {asked}"))
     if results.scenario.engine == "layered" and not is_measured(results):
