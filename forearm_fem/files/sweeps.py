@@ -80,7 +80,7 @@ def waveforms(file: Path, said: Declaration) -> dict[str, Waveform]:
 
 
 def meaning_of(unit: str) -> tuple[str, float] | None:
-    """What a channel in ``unit`` holds, "V", "N" or a quantity of motion, and its factor to SI; None for others."""
+    """Quantity of a channel in ``unit``, "V", "N" or one of motion, and its factor to SI; None for others."""
     plain = unit.strip()
     if not plain:
         return "V", 1.0
@@ -162,7 +162,7 @@ def _resolution(samples: FloatArray) -> float:
 
 
 def _in_si(file: Path, name: str, found: Waveform, *, driven: bool) -> tuple[str, Waveform]:
-    """What a channel holds, and its samples in SI; DataError for a unit that no drive, or no response, has."""
+    """Quantity of a channel, and its samples in SI; DataError for a unit that no drive, or no response, has."""
     meant = meaning_of(found.unit)
     if meant is None or (meant[0] not in ("V", "N") if driven else meant[0] == "N"):
         expected = "volts or newtons" if driven else "volts, or a motion such as m/s^2, g, mm/s or um"
@@ -276,7 +276,7 @@ def _tdms(file: Path, said: Declaration) -> dict[str, Waveform]:
 
 @contextmanager
 def _complaints() -> Iterator[list[logging.LogRecord]]:
-    """What npTDMS only logs, and prints: among it that a file is cut short."""
+    """Log records of npTDMS, which only logs, for instance, that a file is cut short."""
     heard: list[logging.LogRecord] = []
 
     class Listener(logging.Filter):
@@ -449,7 +449,7 @@ def _float(word: str) -> float:
 
 
 def _said(head: Sequence[str], key: str, otherwise: str) -> str:
-    """What the header says of ``key`` in one word."""
+    """Word of the header under ``key``."""
     for line in head:
         if found := re.match(rf"^{key}[\t, ]+(\S.*?)\s*$", line):
             return found[1].strip(",") if found[1] != "," else ","
@@ -457,6 +457,6 @@ def _said(head: Sequence[str], key: str, otherwise: str) -> str:
 
 
 def _row(head: Sequence[str], key: str, separator: str) -> list[str]:
-    """What the header says of ``key`` for each channel."""
+    """Words of the header under ``key``, one a channel."""
     return next((line.rstrip("\n").split(separator)[1:] for line in reversed(head)
                  if line.split(separator)[0].strip() == key), [])  # fmt: skip

@@ -32,7 +32,7 @@ _SPLINES = ("discs", "points")
 
 
 class Column(NamedTuple):
-    """What an integral is but for its distance: kernel, both transforms (their places among the radials), order."""
+    """Integral without its distance: kernel, both transforms (their places among the radials), order."""
 
     kernel: int
     a: int
@@ -175,7 +175,7 @@ def orders_of(contact: str) -> int:
 def from_arrays(
     arrays: Mapping[str, Any], layers: Sequence[Layer], surface: Surface, radius: float, contact: str
 ) -> Tabulated:
-    """What :meth:`Tabulated.arrays` gave, back; KeyError or ValueError where it is not that."""
+    """Table from the arrays of :meth:`Tabulated.arrays`; KeyError or ValueError for others."""
     keys = {name: [Column(*map(int, row)) for row in arrays[f"{name}_keys"]] for name in ("own", *_SPLINES)}
     discs, points = (
         ({column: i for i, column in enumerate(keys[name])}, BSpline(arrays[f"{name}_t"], arrays[f"{name}_c"], DEGREE))

@@ -173,7 +173,7 @@ class NiDaq:
 
 
 def _rows(block: FloatArray) -> Any:
-    """As nidaqmx wants it: 2-D for several channels, 1-D for one."""
+    """Samples as nidaqmx wants them: 2-D for several channels, 1-D for one."""
     return np.ascontiguousarray(block if len(block) > 1 else block[0])
 
 
