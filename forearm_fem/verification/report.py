@@ -15,7 +15,7 @@ _HEADER = ["case", "reference", "quantity", "error", "tolerance", "why this tole
 
 
 def verification_page(rows: Sequence[Row]) -> Page:
-    """Page: number of rows met and the one that comes nearest to its tolerance; rows that miss it next, all of them folded."""
+    """Page: number of rows met, the one nearest to its tolerance, rows that miss it, and every row folded."""
     met, weak = sum(r.met for r in rows), weakest(rows)
     answer = [
         f"Weakest: {weak.case}, {weak.quantity}: {weak.error:.2g} of {weak.tolerance:.2g} allowed ({weak.reason}).",
