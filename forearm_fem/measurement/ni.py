@@ -8,7 +8,7 @@ the driver know them, and the rate that the module really makes.
 
 The output is streamed without regeneration behind two silent blocks; if the computer cannot keep up the driver stops
 with an error instead of repeating old samples. Tested against nidaqmx's task interface; not yet on a chassis
-(docs/measurement.md).
+(docs/howto/daq.md).
 """
 
 from __future__ import annotations
