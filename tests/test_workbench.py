@@ -469,7 +469,7 @@ def test_the_skin_moves_in_the_page_as_in_python(folder: Path) -> None:  # noqa:
 
 @needs_node
 def test_a_free_place_at_a_point_moves_as_the_point(flat: Results, content: dict[str, Any]) -> None:
-    """On the twin's flat skin, at the vertex nearest to point 5: the picture's error and 1 mm between them."""
+    """On the layered model's flat skin, at the vertex nearest to point 5: the picture's error and 1 mm between them."""
     from base64 import b64decode
 
     rest = np.frombuffer(b64decode(content["field"]["surfaces"][0]["rest"]["data"]), "<f4").reshape(-1, 3)

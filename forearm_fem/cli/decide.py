@@ -47,8 +47,8 @@ def predict(
         list[str] | None,
         typer.Option(help="keep the scenario's value of an input or group, e.g. tissue, placement, 'signal to noise'"),
     ] = None,
-    twin: Annotated[
-        bool, typer.Option("--twin/--own", help="arms on the layered twin, or by the scene's own engine")
+    layered: Annotated[
+        bool, typer.Option("--layered/--own", help="arms on the layered model, or by the scene's own engine")
     ] = False,
     resume: Annotated[bool, typer.Option("--resume/--anew", help="go on with draws that the folder holds")] = True,
     workers: Annotated[int | None, typer.Option(min=1, help="processes; default: what cores and memory allow")] = None,
@@ -70,7 +70,7 @@ def predict(
 
         display("libraries", 1, 1)
         folder = out_folder(out, asked, overrides) / FOLDER
-        question = Question(asked, scenario.parent, seed, tuple(law or LAWS), tuple(hold or ()), twin)
+        question = Question(asked, scenario.parent, seed, tuple(law or LAWS), tuple(hold or ()), layered)
         with locked(folder):
             found = run(
                 question, folder, draws=draws, resume=resume, workers=workers, scheduler=scheduler, progress=display

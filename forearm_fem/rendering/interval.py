@@ -18,9 +18,9 @@ from ..transfer import ErrorEstimate, TransferMatrix, between, error_of_pairs, r
 from ..typing import BoolArray, FloatArray
 from .bridging import with_wider_ends
 from .drives import Renderer
+from .inverse_filter import precomputed_for_targets
 from .rendered import Rendering, strengths
-from .sharing import settled
-from .spectrum import place
+from .spectrum import on_record_bins
 from .wavelet import Wavelet, Window
 from .zeros import FixedZeros, SearchedZeros
 
@@ -244,7 +244,7 @@ def interval(
     whole = random is not None
     g, shape = (transfer, wavelet) if whole else _shorter(transfer, wavelet, span)
     sources = tuple(at_least_band(e, g.frequency) if e.source == "discretisation" else e for e in errors)
-    methods = settled(methods, place(g, shape.record), targets)
+    methods = precomputed_for_targets(methods, on_record_bins(g, shape.record), targets)
     base = strengths(g, targets, methods, shape, window=window)
     rng = np.random.default_rng(_SEED)
     square, fall = np.zeros(base.shape), np.zeros(base.shape)

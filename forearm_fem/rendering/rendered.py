@@ -18,14 +18,12 @@ from ..progress import Progress, tell
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, FloatArray
 from .bridging import Bridged, bridged
-from .combination import Combination
 from .drives import Displacements, Drives, Renderer, displacements, drives
 from .funneling import Funneling
-from .inverse_filter import InverseFilter
+from .inverse_filter import Combination, InverseFilter, prepared
 from .lattice import is_thesis_grid
 from .limits import DriveReport, Limits, beyond_limits, check, counted_points
-from .sharing import prepared
-from .spectrum import place
+from .spectrum import on_record_bins
 from .wavelet import Wavelet, Window, ricker, window_of
 
 if TYPE_CHECKING:
@@ -184,8 +182,8 @@ def render_all(
         if len(set(given)) != len(given):
             raise ScenarioError(f"a {what} is given twice: {', '.join(given)}; give each its own name")
     seconds, holes = window_of(window, wavelet), bridged(transfer)
-    placed = prepared(place(holes.transfer, wavelet.record), methods, targets)[0]
-    played = placed if play_on is None else place(bridged(play_on).transfer, wavelet.record)
+    placed = prepared(on_record_bins(holes.transfer, wavelet.record), methods, targets)[0]
+    played = placed if play_on is None else on_record_bins(bridged(play_on).transfer, wavelet.record)
     results: dict[tuple[str, str], Rendered] = {}
     for method in methods:
         for target in targets:
@@ -249,7 +247,7 @@ def strengths(
     device calibrated on another G would reach. Holes are not bridged. Raises as :func:`render_all`.
     """
     seconds, targets, methods = window_of(window, wavelet), _as_targets(targets, transfer), _as_renderers(methods)
-    placed = place(transfer, wavelet.record)
+    placed = on_record_bins(transfer, wavelet.record)
     if fixed is None:
         placed, methods = prepared(placed, methods, targets)
     out = np.empty((len(methods), len(targets)))

@@ -253,7 +253,7 @@ def _numerics(data: Mapping[str, Any]) -> str:
         free = " ".join(f"--hold {g}" for g in ("thickness", "contact", "placement") if g not in data["held"])
         hold = f"hold what you know ({free}), or " if free else ""
         parts.append(f"This widens the bands much: {hold}ask for a finer mesh (lower accuracy or mesh sizes), or draw "
-                     "the arms on the layered model (--twin).")  # fmt: skip
+                     "the arms on the layered model (--layered).")  # fmt: skip
     if (mesh := data["shorter_waves"]) is not None and mesh["share"]:
         parts.append(f"The mesh was made for the scene's own tissue: {mesh['share']:.0%} of the arms have shorter "
                      f"waves in some tissue, one in twenty by a factor of {mesh['factor']:.2g} or more.")  # fmt: skip

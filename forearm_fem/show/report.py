@@ -44,7 +44,7 @@ from .page import Block, Page, Picture, Section, embedded
 from .registry import applies, kinds
 from .targets import plot_trace, target_waves
 
-# Report of a scene that renders nothing: how waves travel and decay from one contact, and the twin beside it.
+# Report of a scene that renders nothing: how waves travel and decay from one contact, and the layered model beside it.
 
 _SAME = 1e-6  # m: between the distances of two points of a line
 
@@ -64,7 +64,7 @@ def write_wave_report(
         waves = Block(["Hz", "attenuation 1/m", "speed m/s"], rows)
         blocks.append(Section("waves", "Attenuation and speed by the thesis' estimator (waves.csv)", waves))
     if isinstance(scenario.limb, SlabLimb) and scenario.device.drive == "force":
-        blocks.append(Section("layered", "Beside the layered model", _twin(scenario, transfer)))
+        blocks.append(Section("layered", "Beside the layered model", _layered(scenario, transfer)))
     errors = [[ERRORS.get(e.source, (e.source,))[0], facts.percent(e.band), facts.percent(e.worst), e.method]
               for e in transfer.errors]  # fmt: skip
     sections = [
@@ -94,7 +94,7 @@ def waves_csv(fit: WaveFit) -> str:
     return str(pd.DataFrame(columns).to_csv(index=False, lineterminator="\n", na_rep="nan"))
 
 
-def _twin(scenario: Scenario, transfer: TransferMatrix) -> Block:
+def _layered(scenario: Scenario, transfer: TransferMatrix) -> Block:
     """Table of errors against the layered model: each point relative to itself, and e(f) over all but the first."""
     try:
         truth = close_loop(solve_layered(scenario, transfer.frequency), scenario.device).values
