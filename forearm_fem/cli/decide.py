@@ -87,32 +87,29 @@ def validate(
         typer.Option(help="a measured G (file or results folder) to run through the same comparison", callback=holds_g),
     ] = None,
     declare: Declared = None,
-    page: Annotated[
-        Path | None, typer.Option(help="write the page there, e.g. docs/validation.md", callback=ends_in(".md"))
-    ] = None,
 ) -> None:
     """Judge predictions by what was published: measured, band over arms, inside or not; where it fails comes first."""
     asked = load_scenario(scenario, overrides=overrides or ())
     name = "" if measured is None else measured.name
     folder = out_folder(out, asked, overrides) / "prediction"
-    target = page or folder / "validation.md"
     with job(folder, "questions.predict.validate", "show.validation") as display:
         from ..questions.predict.run import Question
         from ..questions.predict.validate import validate as run
-        from ..show.validation import coverage, failures, joint_words, validation_page
-        from ..store.folder import write_text
+        from ..show.validation import failures, validation_page
 
         found = run(
             Question(asked, scenario.parent, seed), folder, draws=draws, resume=resume, workers=workers,
             scheduler=scheduler, measured=measured_g(measured, asked, declare, "--measured"), measured_name=name,
             progress=display,
         )  # fmt: skip
-    write_text(target, validation_page(found, asked.name))
+    page = validation_page(found, asked.name)
+    written, _ = page.save(folder, "validation")
+    typer.echo(page.title)
     for what, seen, arms in failures(found):
         typer.echo(f"{what}: {seen}, arms {arms}")
-    for line in (*joint_words(found), *(f"inside the band, {name}: {inside}" for name, inside in coverage(found))):
+    for line in page.answer:
         typer.echo(line)
-    typer.echo(f"validation: {target}")
+    typer.echo(f"open {written}")
 
 
 # design: which device to build.
@@ -222,16 +219,16 @@ def campaign(
 
 
 def verify(
-    out: Annotated[Path, typer.Option("--out", help="folder that the table is written to")] = Path("results/verify"),
+    out: Annotated[Path, typer.Option("--out", help="folder that the page is written to")] = Path("results/verify"),
 ) -> None:
     """Check this installation against exact solutions; exit code 1 where a number misses its tolerance."""
-    from ..store.folder import write_text
     from ..verification import report, run_verification
 
     with job(out) as display:
         rows = run_verification(display)
-        write_text(out / "verification.md", report.verification_page(rows))
-    typer.echo(report.verification_table(rows))
-    typer.echo(f"{report.count_met(rows)}\n{out / 'verification.md'}")
+        page = report.verification_page(rows)
+        written, _ = page.save(out, "verification")
+    for line in (page.title, *page.answer, f"open {written}"):
+        typer.echo(line)
     if not all(r.met for r in rows):
         raise typer.Exit(1)

@@ -100,7 +100,7 @@ def check_view(results: Results, view: View) -> None:
         layered = results.has("scenario.json") and results.scenario.engine == "layered"
         if layered or (results.has("run.json") and results.run.solution.solver == "library"):
             remedy = f"`forearm-fem workbench {results.folder}` shows its G"
-        raise DataError(f"{results.folder}: no field between the ports is known, {missing} is missing "
+        raise DataError(f"{results.folder}: no motion between the points is known, {missing} is missing "
                         f"(the layered model, a library and measured G have none); {remedy}")  # fmt: skip
     if view.actuator is None:
         for name, known in ((view.method, results.drives.methods), (view.target, results.drives.targets)):
