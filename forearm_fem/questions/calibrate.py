@@ -79,14 +79,14 @@ class CalibrationResult(Manners):
 
     @property
     def line(self) -> str:
-        """What G is of, and how much of it may be used."""
+        """Ports of G, and the share of it that may be used."""
         g = self.measured.transfer
         usable = np.isfinite(g.values) if g.valid is None else g.valid
         return f"{repr(g)[1:-1]}; {100 * usable.mean():.0f} % of the entries may be used"
 
     @property
     def rows(self) -> list[list[str]]:
-        """What was found on the way."""
+        """Findings on the way."""
         return [["finding"], *([finding.sentence] for finding in self.measured.findings)]
 
     def sel(self, output: str, input: str) -> ComplexArray:

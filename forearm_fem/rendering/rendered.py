@@ -115,7 +115,8 @@ class Rendering(Mapping[tuple[str, str], Rendered]):
 
     @property
     def counted(self) -> BoolArray:
-        """Which targets (n_target,) are in means of S: none under or within the default clearance of a motor is."""
+        """True where a target (n_target,) is in means of S: none under or within the default clearance of a motor
+        is."""
         g = self.bridged.transfer
         by_name = {p.name: p for p in g.outputs}
         return counted_points([by_name[t] for t in self.targets], g.inputs)

@@ -63,7 +63,7 @@ class CompareResult(Manners):
 
     @property
     def line(self) -> str:
-        """How far apart, and where."""
+        """Distance, and where the two differ."""
         return answer_lines(self.comparison)[0]
 
     @property
@@ -201,7 +201,7 @@ class FitCommandResult(Manners):
         )
 
     def plot(self) -> Figure:
-        """Where each value lies in the range that was allowed, with its 95 % interval."""
+        """Values within the ranges that were allowed, with their 95 % intervals."""
         figure = Figure(figsize=(5.0, 0.6 + 0.4 * len(self.fit.parameters)), layout="constrained")
         axes = figure.add_subplot()
         for k, p in enumerate(self.fit.parameters):

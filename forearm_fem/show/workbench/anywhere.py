@@ -92,7 +92,7 @@ class Anywhere:
         return chebyshev_between(*self.ends, omega, seen[:, :, force] - seen[:, :, inner] @ scattered)[0]
 
     def refuses(self, contacts: FloatArray, points: FloatArray) -> bool:
-        """Whether discs cannot stand there: off the skin that is known, too close, or pressing on one of ``points``."""
+        """True if discs cannot stand there: off the skin that is known, too close, or pressing on one of ``points``."""
         away = np.linalg.norm(contacts[:, None] - points[None], axis=2)
         if self.contact == "pressure" and away.min(initial=np.inf) < self.radius + CLEAR:
             return True
