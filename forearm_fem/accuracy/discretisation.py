@@ -14,7 +14,7 @@ from ..geometry.mesh.topology import EDGES
 from ..ports import Port, distances
 from ..scenario import Scenario
 from ..tissue import Tissue, resolve_tissues
-from ..transfer import ErrorEstimate, TransferMatrix, relative_error
+from ..transfer import ErrorEstimate, TransferMatrix, band_error, relative_error
 from ..typing import ComplexArray, FloatArray, IntArray
 from .estimates import raised_to_row_column_mean
 
@@ -51,7 +51,7 @@ class NumericalDispersion:
     def of(
         cls, scenario: Scenario, mesh: TissueMesh, outputs: tuple[Port, ...], inputs: tuple[Port, ...]
     ) -> NumericalDispersion:
-        """Those of a scenario's own ``mesh``."""
+        """Numerical dispersion of a scenario's own ``mesh``."""
         order = tetrahedron_orders(mesh, place_ports(scenario, mesh), scenario.element)
         return cls(ElementsNearContacts.of(mesh, order, inputs), tuple(mesh.region_names), distances(outputs, inputs))
 
@@ -89,7 +89,7 @@ class ElementsNearContacts:
 
     @classmethod
     def of(cls, mesh: TissueMesh, order: IntArray, contacts: tuple[Port, ...]) -> ElementsNearContacts:
-        """Those within ``REACH`` along the skin."""
+        """Elements within ``REACH`` of the ``contacts`` along the skin."""
         corners = mesh.points[mesh.tetrahedra]
         edges = corners[:, EDGES[:, 0]] - corners[:, EDGES[:, 1]]
         size = np.sqrt((edges**2).sum(axis=2).mean(axis=1))
@@ -149,7 +149,8 @@ class DiscretisationError:
 def discretisation_error(
     other: ComplexArray, own: ComplexArray, frequency: FloatArray, ratio: float, lag: FloatArray, coarser: FloatArray
 ) -> DiscretisationError:
-    """The one rule for ``own`` values (n_frequency, n_out, n_in), of a scene, of an arm, of a case of verification.
+    """Discretisation error of ``own`` values (n_frequency, n_out, n_in): the one rule for scenes, arms and
+    verification.
 
     ``other`` values are those on the second mesh, whose nodes are ``ratio`` times as far apart; waves arrive with a
     ``lag`` [rad] on the mesh itself, and ``coarser`` on the coarser of the two, both shaped like the values.
@@ -170,6 +171,8 @@ def discretisation_of(
     found = discretisation_error(coarse.values, fine.values, fine.frequency, ratio, lag, coarser)
     pairs = over_pairs(found.error, coarse.values, fine.values, fine.frequency)
     pairs = np.maximum(pairs, found.unseen / np.abs(fine.values).max(axis=(1, 2), keepdims=True))
+    largest, change = np.abs(fine.values).max(axis=(1, 2), keepdims=True), band_error(coarse.values, fine.values)
+    together = (coarse.values - fine.values) / largest * (found.band / change if change > 0 else 0.0)
     lost = fine.frequency[found.unseen.any(axis=(1, 2))]
     blind = f"; from {lost[0]:g} Hz on at least the lag of waves too short for the elements" if len(lost) else ""
     if mesh is None:
@@ -182,6 +185,7 @@ def discretisation_of(
         tuple(fine.frequency.tolist()),
         tuple(found.error.tolist()),
         pairs,
+        together,
     )
 
 
@@ -269,8 +273,9 @@ def over_pairs(error: FloatArray, other: ComplexArray, own: ComplexArray, freque
 
 
 def spread_change(other: ComplexArray, own: ComplexArray, frequency: FloatArray) -> FloatArray:
-    """How ``other`` values differ from ``own`` (n_frequency, n, n) at each pair over the third of an octave on either
-    side: the shape over pairs of an error whose size :func:`estimated_errors` tells. Unknown pairs do not differ."""
+    """Difference of ``other`` from ``own`` values (n_frequency, n, n) at each pair, in the mean over a third of an
+    octave on either side: the shape over pairs of an error whose size :func:`estimated_errors` tells. Unknown pairs
+    count as equal."""
     change = np.abs(np.nan_to_num(other - own)).reshape(len(frequency), -1)
     rows = [np.sqrt(_around(column**2, frequency)) for column in change.T]
     return np.array(rows).T.reshape(own.shape)

@@ -103,7 +103,9 @@ def solve(
     store = _Store(solve_key(scenario, mesh, frequency))
     if (main := store.main()) is None:
         tolerance = reduction_tolerance(scenario)
-        solution = solve_fem(scenario, mesh, frequency, progress=progress, kept=store.parts, tolerance=tolerance)
+        solution = solve_fem(
+            scenario, mesh, frequency, progress=progress, kept=store.parts, tolerance=tolerance, widen=True
+        )
         main = _packed(scenario, solution, frequency)
         store.keep_main(main)
     # what freed ends do not show: pressure hardly feels dashpots of shear, so that a slab's ends are as good as free
@@ -128,7 +130,7 @@ def solve(
 
 
 def _missing(why: object, cut: bool) -> tuple[ErrorEstimate, ...]:
-    """What a second mesh would have told: of the elements, and of the ends where the limb is ``cut``."""
+    """Estimates that lack a second mesh: of the elements, and of the ends where the limb is ``cut``."""
     discretisation = ErrorEstimate("discretisation", np.nan, f"not estimated: {why}")
     return (discretisation, replace(discretisation, source="truncation")) if cut else (discretisation,)
 
@@ -171,8 +173,9 @@ def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) ->
     modes, states = np.zeros((0, 3, 0)), np.zeros((len(frequency), 0, 0), dtype=complex)
     skin = None
     if sweep.reduced is not None:
-        bare = replace(sweep.reduced, basis=Basis())
-        skin = SkinModel(scenario, model.ports, bare, sweep.poles)
+        wider, core = (sweep.wider, sweep.wider.low.shape[1]) if sweep.wider else (sweep.reduced, 0)
+        bare = replace(wider, basis=Basis(), low=np.zeros((wider.size, 0)), coupling=np.zeros((0, 0)))
+        skin = SkinModel(scenario, model.ports, bare, sweep.poles, core, solution.compliance.errors)
         contacts = solution.compliance.indices("contact")
         modes = field_modes(solution)
         states = sweep.states(frequency, contacts)
@@ -216,7 +219,7 @@ class _Kept:
 
 
 class _Store:
-    """What is finished of one solve, and on a shelf of its own the expansions that its main part comes from."""
+    """Store of one solve's finished parts, and of the expansions of its main part on a shelf of its own."""
 
     def __init__(self, key: str) -> None:
         home = default_cache_dir() / "solves"

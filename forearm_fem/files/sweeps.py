@@ -31,6 +31,7 @@ _SIMULTANEOUS = 0.01  # of a sample between the beginnings of two channels of on
 _EXACT, _NOISY = 1e-6, 0.5  # of a drive's size: how far its periods may differ, as sent and as measured
 _EVEN = 1e-3  # of a step: how far printed times may be off an even clock, and the mean of all by far less
 _DIGITS = 1e-3  # relative: what six digits of a spacing near a millisecond leave off
+_LATTICE = 1e-2  # of a step: how far samples of one converter are off its multiples, by rounding
 _SILENT = 1e-9  # of a drive's largest period: less is none
 _SCALES = re.compile(r"(?P<of>[nuµμmk]?)(?P<unit>V|Volts?|volts?|v|N|Newtons?|newtons?)")
 _PREFIXED: Mapping[str, float] = MappingProxyType({"": 1.0, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3,
@@ -79,7 +80,7 @@ def waveforms(file: Path, said: Declaration) -> dict[str, Waveform]:
 
 
 def meaning_of(unit: str) -> tuple[str, float] | None:
-    """What a channel in ``unit`` holds, "V", "N" or a quantity of motion, and its factor to SI; None for others."""
+    """Quantity of a channel in ``unit``, "V", "N" or one of motion, and its factor to SI; None for others."""
     plain = unit.strip()
     if not plain:
         return "V", 1.0
@@ -144,14 +145,24 @@ def read_sweep(
     loopback = rows[0] if drive_is_measured else None
     rate = round(1 / step, 6)
     return Recording(
-        output, input, rate, rows[0][0], rows[1], loopback, full_scale,
+        output, input, rate, rows[0][0], rows[1], loopback, full_scale, _resolution(rows[1]),
         provenance={"file": str(file), **({"drive": drives} if drives != "V" else {}),
                     **({"response": moves} if moves != "V" else {})},
     )  # fmt: skip
 
 
+def _resolution(samples: FloatArray) -> float:
+    """The step whose multiples all ``samples`` are apart, as a converter or printed digits leave it; 0 for none."""
+    gaps = np.diff(np.unique(samples))
+    if len(gaps) < 2:
+        return 0.0
+    least = float(gaps.min())
+    places = gaps / least
+    return least if float(np.abs(places - np.rint(places)).max()) < _LATTICE else 0.0
+
+
 def _in_si(file: Path, name: str, found: Waveform, *, driven: bool) -> tuple[str, Waveform]:
-    """What a channel holds, and its samples in SI; DataError for a unit that no drive, or no response, has."""
+    """Quantity of a channel, and its samples in SI; DataError for a unit that no drive, or no response, has."""
     meant = meaning_of(found.unit)
     if meant is None or (meant[0] not in ("V", "N") if driven else meant[0] == "N"):
         expected = "volts or newtons" if driven else "volts, or a motion such as m/s^2, g, mm/s or um"
@@ -265,7 +276,7 @@ def _tdms(file: Path, said: Declaration) -> dict[str, Waveform]:
 
 @contextmanager
 def _complaints() -> Iterator[list[logging.LogRecord]]:
-    """What npTDMS only logs, and prints: among it that a file is cut short."""
+    """Log records of npTDMS, which only logs, for instance, that a file is cut short."""
     heard: list[logging.LogRecord] = []
 
     class Listener(logging.Filter):
@@ -438,7 +449,7 @@ def _float(word: str) -> float:
 
 
 def _said(head: Sequence[str], key: str, otherwise: str) -> str:
-    """What the header says of ``key`` in one word."""
+    """Word of the header under ``key``."""
     for line in head:
         if found := re.match(rf"^{key}[\t, ]+(\S.*?)\s*$", line):
             return found[1].strip(",") if found[1] != "," else ","
@@ -446,6 +457,6 @@ def _said(head: Sequence[str], key: str, otherwise: str) -> str:
 
 
 def _row(head: Sequence[str], key: str, separator: str) -> list[str]:
-    """What the header says of ``key`` for each channel."""
+    """Words of the header under ``key``, one a channel."""
     return next((line.rstrip("\n").split(separator)[1:] for line in reversed(head)
                  if line.split(separator)[0].strip() == key), [])  # fmt: skip

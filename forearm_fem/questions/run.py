@@ -180,7 +180,7 @@ def _reported(run: Run) -> None:
 
 
 def check_rendering(scenario: Scenario, base: Path) -> None:
-    """What cannot be placed or rendered, a missing wavelet's file among it, is said before minutes of solving."""
+    """Check of renderers and their files, such as a wavelet's, before minutes of solving."""
     check_places(scenario)
     check_servable(scenario)
     refuse_if_signals_too_large(scenario)
@@ -246,7 +246,9 @@ def _write_solution(run: Run, simulation: Simulation) -> None:
         if carries_points(scenario.device):
             run.notes.append(_WITHOUT_SHARE)
     if simulation.solved is not None and simulation.solved.skin is not None:
-        save_skin_model(out / "reduced.nc", replace(simulation.solved.skin, scenario=scenario))
+        skin, of_g = simulation.solved.skin, ("discretisation", "truncation")
+        errors = (*simulation.compliance.errors, *(e for e in transfer.errors if e.source in of_g))
+        save_skin_model(out / "reduced.nc", replace(skin, scenario=scenario, errors=errors))
     if simulation.solved is not None:
         run.solution = simulation.solved.facts
     if (mesh := simulation.mesh) is not None:
@@ -385,7 +387,7 @@ def _write_run(run: Run) -> None:
 
 
 def _earlier_stages(file: Path) -> dict[str, StageCost]:
-    """What stages of an earlier run into the same folder cost."""
+    """Costs of the stages of an earlier run into the same folder."""
     try:
         return dict(read_run(file).stages)
     except DataError:

@@ -1,4 +1,4 @@
-"""What each S of a run is worth: its numerical interval, the thesis' reading, and what edges and holes do to it."""
+"""Interval of each S of a run: numerical, by the thesis' reading, and by missing edges and holes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..errors import DataError
 from ..metrics import perturbed
 from ..metrics.strength import plain_strength, without_bound
 from ..store.text import plain
-from ..transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at, total_error
+from ..transfer import ErrorEstimate, TransferMatrix, between, error_of_pairs, relative_error_at, total_error
 from ..typing import FloatArray
 from .bridging import with_wider_ends
 from .drives import Renderer
@@ -173,7 +173,7 @@ def strength_of(
 
 
 def _cost_of_ends(strength: Callable[[TransferMatrix], FloatArray], g: TransferMatrix, value: FloatArray) -> FloatArray:
-    """What the ends that G misses may have cost S: twice what it does to leave out as much again beside them."""
+    """Cost in S of the ends that G misses: twice that of leaving out as much again beside them."""
     try:
         return _MARGIN * _pooled(strength(with_wider_ends(g)) - value, value)
     except DataError:  # no bin is left on which all control points are known
@@ -265,7 +265,9 @@ def at_least_band(error: ErrorEstimate, frequency: FloatArray) -> ErrorEstimate:
     size = np.maximum(own, error.band)
     if pairs is not None:
         pairs = pairs * np.divide(size, own, out=np.ones_like(own), where=own > 0)[:, None, None]
-    return replace(error, frequency=tuple(frequency.tolist()), per_frequency=tuple(size.tolist()), per_pair=pairs)
+    together = None if error.together is None else between(error, error.together, frequency)
+    raised = tuple(frequency.tolist()), tuple(size.tolist())
+    return replace(error, frequency=raised[0], per_frequency=raised[1], per_pair=pairs, together=together)
 
 
 def _shorter(

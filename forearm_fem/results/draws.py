@@ -19,7 +19,7 @@ READINGS = ("calibrated", "played", "calibrated, record", "played, record")
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What became of a draw.
+    """Result of a draw.
 
     ``strengths`` (n_reading, n_method, n_target) [-] by :data:`READINGS`: S on the G that was calibrated and S as
     played on the true G, over the scene's window and over the record. ``drivers`` are what S may hang on, by name: the

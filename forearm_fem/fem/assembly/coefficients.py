@@ -69,13 +69,21 @@ class Impedance:
 
 
 def is_polynomial(coefficient: Coefficient) -> bool:
-    """Whether it is a real polynomial in i omega of second degree at most (a hysteretic modulus is a complex one).
+    """True if it is a real polynomial in i omega of second degree at most (a hysteretic modulus is a complex one).
 
     Asked at 1 rad/s: at zero a springpot has no series, and a hysteretic modulus is real.
     """
     value, slope, curvature, rest = coefficient.taylor(1.0, 3)
     odd = (value - slope + curvature).imag, (slope - 2 * curvature).real, curvature.imag
     return not rest and bool(np.abs(odd).max() <= 1e-12 * abs(value))
+
+
+def kelvin_voigt_like(coefficient: Coefficient, omega: float) -> Coefficient:
+    """A spring and dashpot of the same size at ``omega`` [rad/s]; a polynomial as it is."""
+    if is_polynomial(coefficient):
+        return coefficient
+    value = complex(coefficient.at(np.array(omega)))
+    return Polynomial(max(value.real, 0.0), value.imag / omega)
 
 
 def polynomial_weights(taylor: ComplexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -102,7 +110,7 @@ def rate_weights(coefficients: Sequence[Coefficient], rate: float) -> FloatArray
 
 
 def grouped(coefficients: Sequence[Coefficient]) -> list[tuple[FloatArray, Coefficient]]:
-    """As few sums of terms as A(omega) can be made of: weights (n_term,), and what each sum is multiplied with.
+    """Sums of terms, as few as A(omega) can be made of: weights (n_term,) and the coefficient of each sum.
 
     All polynomial terms together are a constant, i omega and -omega^2; each other term stays alone.
     """
@@ -114,7 +122,7 @@ def grouped(coefficients: Sequence[Coefficient]) -> list[tuple[FloatArray, Coeff
     return [(weights, c) for weights, c in common if weights.any()] + list(others)
 
 
-# What each term of the operator is multiplied with, by its name: the affine parameters of a model.
+# Coefficients of the operator's terms, by name: the affine parameters of a model.
 
 _ONE, _NO_PATCH = Polynomial(1.0), Patch()
 

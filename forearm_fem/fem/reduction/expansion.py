@@ -1,9 +1,10 @@
-"""What reduced models are made of: derivatives of solutions about a rate or frequencies, kept between runs."""
+"""Expansions that reduced models are made of: derivatives of solutions about a rate or frequencies, kept between
+runs."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +15,7 @@ from ...progress import Progress, tell
 from ...scenario.sweep import ReducedSolve
 from ...store.shelf import Shelf
 from ...typing import ComplexArray, FloatArray
-from ..assembly.coefficients import is_polynomial
+from ..assembly.coefficients import is_polynomial, kelvin_voigt_like, rate_weights
 from ..assembly.model import ForearmModel
 from ..kernels.compiled import give_back
 from ..linear.direct import DirectSolver, make_solver, watched
@@ -259,7 +260,7 @@ class Expander:
         return made if change <= wanted else None
 
     def most_doubtful(self, made: Made, frequency: FloatArray) -> Doubt | None:
-        """Where to certify next; None where no bin is left that was not compared or expanded about.
+        """Next frequency to certify; None where every bin was compared or expanded about.
 
         Where resonances are sharp it is the bin with the largest bound. Models of incompressible tissue keep each
         displacement's own pressure, and what solves leave in weak directions shows anywhere in the band: one true error
@@ -272,6 +273,15 @@ class Expander:
         bound = ResidualBound(self._ready(float(frequency[-1])), expansion_rate(frequency))
         bounds = bound.errors(made.reduced, frequency, pole_residue(made.reduced, frequency))
         return most_doubtful_bin(bounds, frequency, known)
+
+    def inverse(self, frequency: FloatArray) -> Callable[[FloatArray], FloatArray]:
+        """P^-1 times real columns, P the stiffness at :func:`expansion_rate`; factorised where its factors are gone."""
+        if self._space is not None:
+            return self._space.solved
+        solver, rate = self._ready(float(frequency[-1])), expansion_rate(frequency)
+        terms = [kelvin_voigt_like(t.coefficient, rate) for t in self.model.operator.terms]
+        solver.factor.factorise(self.model.operator.combine(rate_weights(terms, rate)[0].tolist()))
+        return solver.factor.solve
 
     @property
     def solver(self) -> str:
@@ -293,7 +303,7 @@ class Expander:
 
 
 def starts_from_rate(model: ForearmModel, options: ReducedSolve) -> bool:
-    """Whether the reduced model starts from a rate; SolverError where that is asked for and moduli do not allow it."""
+    """True if the reduced model starts from a rate; SolverError where that is asked for and moduli do not allow it."""
     able = all(is_polynomial(t.coefficient) for t in model.operator.terms)
     if options.start == "rate" and not able:
         raise SolverError(

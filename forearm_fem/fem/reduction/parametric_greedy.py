@@ -13,7 +13,7 @@ from ...scenario.sweep import SolverOptions
 from ...store.shelf import Shelf
 from ...transfer import relative_error
 from ...typing import BoolArray, ComplexArray, FloatArray
-from ..assembly.coefficients import Coefficient, Polynomial, is_polynomial
+from ..assembly.coefficients import Coefficient, kelvin_voigt_like
 from ..assembly.model import ForearmModel
 from ..linear.direct import DirectSolver, make_solver, watched
 from .basis import Basis, real_columns, rough_extension
@@ -198,14 +198,6 @@ class Growing:
         return replace(self._ready, model=replace(self._model, operator=replace(operator, terms=terms)))
 
 
-def kelvin_voigt_like(coefficient: Coefficient, omega: float) -> Coefficient:
-    """A spring and dashpot of the same size at ``omega`` [rad/s]; a polynomial as it is."""
-    if is_polynomial(coefficient):
-        return coefficient
-    value = complex(coefficient.at(np.array(omega)))
-    return Polynomial(max(value.real, 0.0), value.imag / omega)
-
-
 def part_of(reduced: ReducedModel, kept: BoolArray) -> ReducedModel:
     """The model on some columns of its space alone; it cannot be extended or drawn, only asked for compliances."""
     chosen = np.flatnonzero(kept)
@@ -287,7 +279,7 @@ class United:
 
 @dataclass(frozen=True)
 class Growth:
-    """How much work is put into a model.
+    """Effort put into a model.
 
     It starts from so many derivatives about a ``rate``. Direct ``solves`` extend the space, each with derivatives by
     frequency, ``of_contacts`` and ``of_points``; ``checks`` follow. The band is cut into ``parts``, equal in the root
@@ -409,7 +401,7 @@ def _read_piece(kept: Shelf, model: ForearmModel, number: int) -> Piece | None:
 def _made_check(
     work: Growing, kept: Shelf, number: int, place: Place, piece: Piece, draws: Sequence[Coefficients]
 ) -> TrialSolve:
-    """What a finished ``piece`` says at a place, against a direct solution."""
+    """Answer of a finished ``piece`` at a place, against a direct solution."""
     whole, core = piece.change(draws[place[0]], place[1])
     check = TrialSolve(*place, *work.errors(whole, core, place))
     kept.put(f"check-{number}", {"check": np.array(astuple(check), dtype=float)})
