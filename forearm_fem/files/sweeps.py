@@ -76,7 +76,13 @@ def waveforms(file: Path, said: Declaration) -> dict[str, Waveform]:
     refuse_stand_in(file)
     kinds = {".tdms": _tdms, ".lvm": _lvm, ".wav": _wav, ".mat": _vectors, ".npz": _vectors, ".h5": _vectors,
              ".hdf5": _vectors}  # fmt: skip
-    return kinds.get(file.suffix.lower(), _table)(file, said)
+    found = kinds.get(file.suffix.lower(), _table)(file, said)
+    plain = {_spaced(name): w for name, w in found.items()}  # as a terminal shows them
+    return plain if len(plain) == len(found) else found
+
+
+def _spaced(name: str) -> str:
+    return " ".join(name.split())
 
 
 def meaning_of(unit: str) -> tuple[str, float] | None:
@@ -117,6 +123,7 @@ def read_sweep(
     """
     file = Path(path)
     channels = waveforms(file, said or Declaration())
+    drive, response = _spaced(drive), _spaced(response)
     x, y = (_of_name(file, channels, name) for name in (drive, response))
     (drives, x), (moves, y) = _in_si(file, drive, x, driven=True), _in_si(file, response, y, driven=False)
     step = x.step
@@ -175,12 +182,12 @@ def _in_si(file: Path, name: str, found: Waveform, *, driven: bool) -> tuple[str
 def channels_of(file: Path, said: Declaration) -> tuple[str, str]:
     """The channels of drive and response in ``file``: as declared, else by usual names, each with a warning."""
     if said.drive is not None and said.response is not None:
-        return said.drive, said.response
+        return _spaced(said.drive), _spaced(said.response)
     channels = waveforms(file, said)
     found = dict[str, str]()
     for what, words in _GUESSED.items():
         if (given := getattr(said, what)) is not None:
-            found[what] = given
+            found[what] = _spaced(given)
             continue
         alike = [c for c in channels if c.rpartition("/")[2].strip().lower() in words]
         if len(alike) == 1:

@@ -197,8 +197,8 @@ def _tetrahedra(file: Path, read: Any) -> IntArray:
     if others:
         raise MeshError(f"{file}: contains {_some(sorted(others))} cells, but only tetrahedra can be used; split them")
     if not blocks:
-        found = _some(sorted(kinds)) or "nothing"
-        raise MeshError(f"{file}: contains no tetrahedra (only {found}); mesh the volume, not the surface")
+        found = f" (only {_some(sorted(kinds))})" if kinds else ""
+        raise MeshError(f"{file}: contains no tetrahedra{found}; mesh the volume, not the surface")
     return np.vstack(blocks).astype(np.int64)
 
 

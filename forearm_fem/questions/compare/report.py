@@ -16,6 +16,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure, FigureBase
 
 from ... import __version__
+from ...files.declaration import arbitrary_gain
 from ...metrics.common_ground import CommonGround
 from ...ports import positions
 from ...rendering.limits import counted_points, not_counted_words
@@ -84,6 +85,10 @@ def console_lines(c: Comparison, folder: Path) -> list[str]:
 def answer_lines(c: Comparison) -> list[str]:
     """Answer: distance, where, the likeliest cause, and S of both."""
     first, second = c.names
+    if any(arbitrary_gain(provenance) for provenance in c.ground.provenance):  # sizes mean nothing
+        alike = f"{c.agreement.overall_frac:.2f}"
+        return [f"{second} and {first} are compared by shape, as a gain is arbitrary: overall FRAC {alike} (1 is the "
+                "same but for a factor).", strength_words(c)]  # fmt: skip
     size = "an unknown share" if not np.isfinite(c.agreement.band) else f"{100 * c.agreement.band:.2g} %"
     cause = [f"Likeliest cause: {c.where.cause}."] if c.where.cause else []
     place = where_words(c.where, c.ground)
