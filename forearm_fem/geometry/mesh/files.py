@@ -80,8 +80,8 @@ def read_quietly(file: Path) -> Any:
             ) from None
         if head.startswith(b"$MeshFormat") and head.split()[1].startswith((b"1", b"2.0")):
             raise MeshError(
-                f"{file}: is of gmsh's format {head.split()[1].decode()}, whose names have no dimension; open it in gmsh "
-                "and save it as version 4.1"
+                f"{file}: is of gmsh's format {head.split()[1].decode()}, whose names have no dimension; open it in "
+                "gmsh and save it as version 4.1"
             ) from None
         said = f"{type(problem).__name__}: {problem}"[:100]
         raise MeshError(
