@@ -227,7 +227,7 @@ def test_columns_under_a_narrow_cone_are_no_needles():
 
 
 def test_truncation_counts_half_the_change_of_freed_ends():
-    """The share that bounds what longer limbs and the endless twin showed."""
+    """The share that bounds what longer limbs and the endless layered model showed."""
     scenario = parse_scenario(SLAB)
     ports = simulate(scenario.model_copy(update={"engine": "layered"})).compliance.ports
     frequency = np.array([100.0, 150.0])
@@ -327,6 +327,10 @@ def test_truncation_decays_between_the_few_frequencies_of_clamped_ends():
     # (1 + |r|) / (2 |r|) = 3 times the truth by the rule; neighbours a third of an octave away speak for up to .25 f
     assert (stated >= 2 * exact).all()
     assert (stated <= 3.3 * exact * 10 ** (0.25 * many / 50)).all()
+    # what all entries do together: half of what freed ends change, twice the truth, and no less than .3 of e(f)
+    together = np.abs(error.together).max(axis=(1, 2))
+    assert together[0] > 1.2 * exact[0]
+    assert (together >= 0.299 * np.array(error.per_frequency)).all()
 
 
 def test_truncation_is_relative_to_what_lies_between_where_ends_make_most_of_g():
@@ -346,8 +350,8 @@ def test_truncation_is_relative_to_what_lies_between_where_ends_make_most_of_g()
 
 @pytest.mark.parametrize(("ends", "depth"), [("free", 0.012), ("fixed", 0.02)])
 def test_ends_that_do_not_absorb_err_by_half_of_what_the_opposite_ones_change(cold, ends, depth):
-    """Against the endless twin at 100 Hz, where this slab is shorter than the waves. Half the change to absorbing ends
-    stated a third of it: these reflect themselves."""
+    """Against the endless layered model at 100 Hz, where this slab is shorter than the waves. Half the change to
+    absorbing ends stated a third of it: these reflect themselves."""
     slab = {**SLAB, "limb": {**SLAB["limb"], "depth": depth}, "supports": {"ends": ends}}
     transfer = simulate(parse_scenario(slab)).transfer
     exact = simulate(parse_scenario({**slab, "engine": "layered"})).transfer
