@@ -192,10 +192,14 @@ def layered_compliance(
     quadrature, truncation = errors.T
     if np.any(quadrature > tolerance):
         warnings.warn(f"layered: error {quadrature.max():.1e} > tolerance {tolerance:.1e}", AccuracyWarning, 2)
-    out[:, system.points, system.points] = np.nan
     values = out[:, rows][:, :, columns]
     if seen is not None and driven is not None:
         values = seen @ values @ driven.T
+    rigid = [disc for disc in discs if disc.rigid]
+    free = {(d.x, d.y) for d in (*discs_in, *discs_out) if d.radius == 0 and _carrier(d, rigid) is d}
+    alone = [[a.radius == b.radius == 0 and (a.x, a.y) == (b.x, b.y) and (a.x, a.y) in free for b in discs_in]
+             for a in discs_out]  # fmt: skip
+    values[:, np.array(alone, dtype=bool)] = np.nan
     return LayeredResult(values, quadrature, truncation, interpolation, evaluate.n_kernel)
 
 
