@@ -39,7 +39,8 @@ def test_the_formula_is_what_the_estimator_makes_of_the_signal(tmp_path, quantit
     how = plan.options.changed({"sensor": SensorOptions(quantity=quantity, sensitivity=200.0).model_dump()})
     found = calibrate(type(plan)(plan.outputs, plan.inputs, plan.sweep, how), daq, tmp_path).transfer
     asked = scene(quantity, **rig)
-    said = np.sqrt(np.mean([missed(reported(TRUTH, asked, np.random.default_rng(k)).values) ** 2 for k in range(20)], 0))
+    rigs = (reported(TRUTH, asked, np.random.default_rng(k)) for k in range(20))
+    said = np.sqrt(np.mean([missed(rig.values) ** 2 for rig in rigs], axis=0))
     f = TRUTH.frequency
     for band in ((20, 60), (60, 150), (150, 300)):  # above, samples of 2 kHz sum a way too coarsely
         here = (f >= band[0]) & (f < band[1])

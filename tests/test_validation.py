@@ -125,19 +125,19 @@ def table_of(values: np.ndarray) -> Draws:
 def test_table_one_is_judged_entry_by_entry_and_jointly() -> None:
     rng = np.random.default_rng(0)
     table = table_of(np.exp(0.2 * rng.standard_normal(400)))
-    found = module._table_one(table, "calibrated")
+    found = module._table_one(table, "reported")
     assert found["all"]["inside"] == 9
     assert set(found) == {"all", "zener", "springpot"}
     # a band of 90 % of a log-normal is x/÷ exp(1.645 s)
     assert found["all"]["width"] == pytest.approx(math.exp(1.645 * 0.2), rel=0.06)
-    apart = module._table_one(table_of(3 * np.exp(0.2 * rng.standard_normal(400))), "calibrated")
+    apart = module._table_one(table_of(3 * np.exp(0.2 * rng.standard_normal(400))), "reported")
     assert apart["all"]["inside"] == 0
     assert apart["all"]["beyond"] == 0
     assert apart["all"]["distance"] > 4
     assert found["all"]["order"][0][0] == "combination"
     turned = replace(table, methods=table.methods[::-1], strengths=table.strengths[:, :, ::-1])
     entries, others = (
-        {(e["method"], e["group"]): e for e in module._table_one(t, "calibrated")["all"]["entries"]}
+        {(e["method"], e["group"]): e for e in module._table_one(t, "reported")["all"]["entries"]}
         for t in (table, turned)
     )
     assert others == entries  # methods are told by name
@@ -146,7 +146,7 @@ def test_table_one_is_judged_entry_by_entry_and_jointly() -> None:
 def test_few_arms_say_nothing_of_a_joint_distance_and_no_band_of_a_law() -> None:
     """Seven arms span six directions of nine: a point in the others counted as near as the rest."""
     rng = np.random.default_rng(0)
-    few, enough = (module._table_one(table_of(np.exp(0.2 * rng.standard_normal(n))), "calibrated") for n in (18, 46))
+    few, enough = (module._table_one(table_of(np.exp(0.2 * rng.standard_normal(n))), "reported") for n in (18, 46))
     assert set(few) == {"all"}
     assert few["all"]["distance"] is None
     assert few["all"]["beyond"] is None

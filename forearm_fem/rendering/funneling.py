@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -94,9 +95,11 @@ def funneling_weights(inputs: tuple[Port, ...], target: Port, distance: Distance
 
     On a rectangle of N x M actuators eq. 6 of de Vlam 2022, (1 - d_x / D_x)(1 - d_y / D_y): the four around the target
     share its weight, so that eq. 6 holds within each cell. D, "the maximum distances between the actuators", is the
-    cell's side along each axis; or its diagonal; or a length [m], which may not be shorter than a side. On a line, its one-dimensional form between the two
-    neighbours. Any other layout: the target's barycentric coordinates in the triangle of nearest actuators
-    (:mod:`.triangles`), the linear law of three-actuator phantoms (US 10867526 B2, eq. 5).
+    cell's side along each axis; or its diagonal; or a length [m], which may not be shorter than a side.
+
+    On a line, the one-dimensional form of eq. 6 between the two neighbours. Any other layout: the target's barycentric
+    coordinates in the triangle of nearest actuators (:mod:`.triangles`), the linear law of three-actuator phantoms
+    (US 10867526 B2, eq. 5).
 
     Raises GeometryError for a single actuator, and where the target lies outside the actuators. The logarithmic law is
     not covered (the thesis took the linear one).
@@ -139,7 +142,7 @@ def _farther(grid: PortLattice, shares: list[FloatArray], target: Port, distance
     """Shares 1 - d / D of the lines of the target's cell along both axes, D one length for both."""
     cell = [_cell(at, lines) for at, lines in zip(grid.coordinates(target), (grid.rows, grid.columns), strict=True)]
     sides = [float(np.ptp(lines[inside])) for lines, inside in zip((grid.rows, grid.columns), cell, strict=True)]
-    length = float(np.hypot(*sides)) if distance == "diagonal" else float(distance)
+    length = math.hypot(*sides) if distance == "diagonal" else float(distance)
     if length < max(sides):
         raise GeometryError(
             f"rendering.funneling_distance: {length:g} m is shorter than the {max(sides):g} m between actuators, and "

@@ -182,7 +182,10 @@ def renderers(
         "inverse filter": InverseFilter(zeros=zeros, regularisation=rule, peak=peak, least_error=least),
         "funneling": Funneling(amplitude=options.amplitude, distance=options.funneling_distance),
         "combination": Combination(
-            zeros=zeros, regularisation=rule, amplitude=options.amplitude, distance=options.funneling_distance,
+            zeros=zeros,
+            regularisation=rule,
+            amplitude=options.amplitude,
+            distance=options.funneling_distance,
             least_error=least,
         ),
     }

@@ -80,9 +80,7 @@ class HeldHousing(Part):
     fixed: Literal[True] = Field(True, description="the housing is held still")
     skin_share: ClassVar[float] = 0.0  # of no motion
     idle_keys: ClassVar = {
-        key: "device.housing.fixed holds it still; leave out either"
-        for key in Housing.model_fields
-        if key != "fixed"
+        key: "device.housing.fixed holds it still; leave out either" for key in Housing.model_fields if key != "fixed"
     }
 
 

@@ -25,6 +25,7 @@ from ...scenario import Scenario
 from ...transfer import Compliance, ErrorEstimate
 from ...typing import ComplexArray, FloatArray
 from ...usercode import is_code
+from .draws import FASCIA, has_fascia
 
 _TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)  # a third of the time of the twin's own; what it costs is stated per draw
 _OF_CHANGE = (1e-2, 3)  # tolerance and terms for what geometry changes: 5e-5 of it apart, in two thirds of the time
@@ -174,17 +175,22 @@ class ReducedArm:
     @property
     def held(self) -> frozenset[str]:
         """See :class:`ArmModel`: nothing, or all geometry where the twin cannot say what it changes."""
-        return frozenset(_GEOMETRY if self.scenario.tissues.patch.is_on else ())
+        fascia = () if has_fascia(self.scenario) else (FASCIA,)
+        return frozenset((*fascia, *(_GEOMETRY if self.scenario.tissues.patch.is_on else ())))
 
     @property
     def left_out(self) -> str:
         """See :class:`ArmModel`."""
         still = self.model.around is None
         by_twin = "thickness, contact area and the grid's place" if still else "thickness and contact area"
+        if FASCIA in self.held:
+            by_twin = f"no arm has a deep fascia, for the scene has none (limb.layers); what {by_twin}"
+        else:
+            by_twin = f"what {by_twin}"
         geometry = (
             "thickness, contact area and the grid's place keep the scene's values, for there is tape on its skin"
-            if self.held
-            else f"what {by_twin} change is that of flat layers without end"
+            if "thickness" in self.held
+            else f"{by_twin} change is that of flat layers without end"
         )
         return f"girth, taper, bones and the device's place on the limb are the scene's own in every arm; {geometry}"
 
@@ -201,7 +207,7 @@ class ReducedArm:
         """See :class:`ArmModel`: each error may be missed by its size at each pair of ports, alike at all of them or in
         any phase at each."""
         own = on_mesh_of(self.scenario, scenario)  # but with its own grid where both meshes can read it
-        laid = own.changed({"grid": scenario.grid})
+        laid = own.changed({"grid": scenario.grid.changed({"direction": own.grid.direction})})  # the twin turns it
         models = [self.model] if self.meshes is None else [self.model, self.meshes.second]
         own = laid if all(m.follows(laid) for m in models) else own
         found, missed = self.model.answer(own, frequency)

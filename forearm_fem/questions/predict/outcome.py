@@ -13,6 +13,7 @@ import numpy as np
 
 from ...device import close_loop
 from ...errors import ReductionError
+from ...measurement.chain import reported
 from ...ports import Port
 from ...rendering.interval import interval
 from ...rendering.job import RenderJob
@@ -23,13 +24,12 @@ from ...tissue import resolve_tissues
 from ...transfer import TransferMatrix, finite, total_error
 from ...typing import ComplexArray, FloatArray, IntArray
 from .arm import ArmModel
-from .draws import REFERENCE, SOFT, Draw, idle_inputs, scenario_of, soft_tissues
+from .draws import REFERENCE, SOFT, Draw, idle_inputs, measured_of, scenario_of, soft_tissues
 
-NOISE = "signal to noise"  # name of the draw's input
 KEPT = 16  # draws whose G is kept: 5 MB of the thesis' scene
 _MOST = 1.0  # e_band: nothing is known of a G that may be wrong by as much as it is
 _DRAWS = 6  # of an arm's errors, for the interval of its S; all targets of a method are pooled
-READINGS = ("calibrated", "played", "calibrated, record", "played, record")
+READINGS = ("played", "reported", "played, record", "reported, record")
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +63,9 @@ def setup_of(scenario: Scenario, nominal: TransferMatrix, base: Path, held: Coll
 class Outcome:
     """What became of a draw.
 
-    ``strengths`` (n_reading, n_method, n_target) [-] by :data:`READINGS`: S on the G that was calibrated and S as
-    played on the true G, over the scene's window and over the record. ``drivers`` are what S may hang on, by name: the
+    ``strengths`` (n_reading, n_method, n_target) [-] by :data:`READINGS`: S as played on the skin, which is what the
+    drives reach on the true G, and S as the rig reports it, on the G that it measured (as Table I); over the scene's
+    window and over the record. ``drivers`` are what S may hang on, by name: the
     draw's inputs, and size [Pa] and loss tangent at 150 Hz of each tissue instead of its law's own parameters.
     ``numerics`` is e_band of all errors stated for the draw's G, ``spread`` (n_method, n_target) the half width of the
     interval of log S that these leave. ``problem`` says why there is no S (then NaN).
@@ -184,8 +185,13 @@ def outcome_of(draw: Draw, setup: Setup, arm: ArmModel) -> Outcome:
     )
     if not total_error(true.errors) < _MOST:
         raise ReductionError(f"G of the arm may be wrong by as much as it is: e_band is {_MOST:g} or more, or unknown")
-    calibrated = noisy(true, replace(draw, values=values), scenario)
-    found, job = strengths_of(setup.job, true, calibrated), setup.job
+    seen = measured_of(replace(draw, values=values), scenario)
+    met = true
+    if seen.grid != scenario.grid:
+        compliance = arm.compliance(seen, frequencies(seen.sweep))
+        met = with_nominal_ports(finite(close_loop(compliance, seen.device)), setup)
+    found = strengths_of(setup.job, true, reported(met, seen, draw.generator("rig")))
+    job = setup.job
     noise = tuple(e for e in true.errors if e.source not in answer.shown)
     spread = interval(true, noise, job.targets, job.span, job.methods, job.wavelet, draws=_DRAWS, others=others)
     return Outcome(
@@ -200,24 +206,9 @@ def with_nominal_ports(transfer: TransferMatrix, setup: Setup) -> TransferMatrix
     return replace(transfer, outputs=setup.outputs, inputs=setup.inputs)
 
 
-def noisy(transfer: TransferMatrix, draw: Draw, scenario: Scenario) -> TransferMatrix:
-    """G as calibrated: white complex noise on every entry, alike over band and matrix.
-
-    Its rms is that of G over band and matrix, less the draw's signal to noise [dB] of one period, less 10 log10 of the
-    scenario's ``measurement.repeats``. A draw without noise (held) gives G itself. Not covered: noise that grows with
-    the distance of the laser, hum, drift.
-    """
-    if NOISE not in draw.values:
-        return transfer
-    size = float(np.sqrt(np.mean(np.abs(transfer.values) ** 2)))
-    rms = size * 10 ** (-draw.values[NOISE] / 20) / np.sqrt(scenario.measurement.repeats)
-    normals = draw.generator("noise").standard_normal((2, *transfer.values.shape)) / np.sqrt(2)
-    return replace(transfer, values=transfer.values + rms * (normals[0] + 1j * normals[1]))
-
-
-def strengths_of(job: RenderJob, true: TransferMatrix, calibrated: TransferMatrix) -> FloatArray:
-    """S (n_reading, n_method, n_target) of drives designed on ``calibrated``, there and on the ``true`` G."""
-    found = job.strengths(calibrated, calibrated, true, windows=(job.window, "record"))
+def strengths_of(job: RenderJob, true: TransferMatrix, measured: TransferMatrix) -> FloatArray:
+    """S (n_reading, n_method, n_target) of drives designed on the ``measured`` G, on the ``true`` one and there."""
+    found = job.strengths(measured, true, measured, windows=(job.window, "record"))
     return found.reshape(len(READINGS), *found.shape[2:])
 
 

@@ -29,7 +29,7 @@ from ...store.work import done_once
 from ...transfer import TransferMatrix
 from ...typing import FloatArray
 from .arm import without_bones
-from .draws import LAWS, draw_inputs, load_priors, scenario_of
+from .draws import LAWS, draw_inputs, is_bare, load_priors, scenario_of
 from .published import SHAH_ARMS, SHAH_STEPS, TARGETS, TOLERANCE, Arm, Target, fat_of, motor_ratios, observables
 from .run import Prediction, Question, check_question, expanded, predict
 from .statistics import LEVELS, Draws, Enclosed, group_means, joint_distance, quantiles, winners
@@ -40,7 +40,7 @@ _SHOWN_STEPS = (0, 3, 11)  # of Shah's motor: below, at and far above the 150 Hz
 _SEEN = 0.05  # of the arms must show a trend
 _FEWEST = 10  # arms of a band
 _LOST, _MOST_LOST = 0.02, 0.5  # of the wavelet's energy: a band that ends at 500 Hz leaves out 1 % of the thesis'
-TABLE = {"window": "calibrated", "record": "calibrated, record"}  # the thesis does not state what it sums over
+TABLE = {"window": "reported", "record": "reported, record"}  # the thesis does not state what it sums over
 
 
 def validate(
@@ -130,8 +130,9 @@ def _observed(
 
     def measured(number: int) -> dict[str, Any]:
         """Of one draw; an arm that cannot be measured is missing from the band."""
-        draw = draw_inputs(load_priors(), question.scenario, question.seed, number, question.laws)
         held = expanded(question.held, question.scenario)
+        bare = is_bare(question.scenario, held)
+        draw = draw_inputs(load_priors(), question.scenario, question.seed, number, question.laws, bare=bare)
         try:
             seen = observables(Arm.of(without_bones(scenario_of(draw, question.scenario, held))))
         except ForearmError:
@@ -265,7 +266,7 @@ def _measured(found: StrengthAccount, note: str, prediction: Prediction) -> dict
     """
     rows = [found.methods.index(m) for m in prediction.draws.methods]
     point, *ends = group_means(np.stack([found.value, found.low, found.high])[:, rows], prediction.draws.groups)
-    judged = _entries(prediction.draws, "calibrated", point)
+    judged = _entries(prediction.draws, "reported", point)
     intervals = [[float(x) for x in pair if np.isfinite(x)] for pair in np.stack(ends, axis=-1).reshape(-1, 2)]
     judged["entries"] = [
         {**e, "interval": interval,
