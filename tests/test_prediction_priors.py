@@ -46,7 +46,7 @@ def bench() -> ModuleType:
     return module
 
 
-def stored(part: str) -> dict:
+def stored(part: str = "laws") -> dict:
     return json.loads((ROOT / "forearm_fem" / "tissue_laws.json").read_text(encoding="utf-8"))[part]
 
 
@@ -209,7 +209,8 @@ def test_a_draw_becomes_a_scenario() -> None:
     assert drawn.gains["A1"] == pytest.approx(2 * draw.values["gain A1"])
     assert drawn.contact_springs["A4"] == draw.values["contact spring A4"]
     assert arm.rendering == SCENE.rendering
-    held = scenario_of(draw, SCENE, held={"tissue", "skin tension", "grid x", "grid y", "grid turn"})
+    own = {"tissue", "skin tension", "fascia thickness", "fascia modulus", "grid x", "grid y", "grid turn"}
+    held = scenario_of(draw, SCENE, held=own)
     assert held.tissues == SCENE.tissues
     assert held.grid == SCENE.grid
 
@@ -262,7 +263,7 @@ def test_layers_of_one_tissue_share_what_is_drawn_for_it() -> None:
     told = [{"tissue": t, "thickness": d} for t, d in layers]
     scene = parse_scenario({"limb": {"shape": "slab", "length": 0.12, "width": 0.12, "depth": 0.04, "layers": told}})
     draw = draw_inputs(load_priors(), scene, 0, 3)
-    skin, under, fat = (layer.thickness for layer in scenario_of(draw, scene).limb.layers)
+    skin, under, fat, _ = (layer.thickness for layer in scenario_of(draw, scene).limb.layers)
     assert skin + under == pytest.approx(draw.values["skin thickness"])
     assert under / skin == pytest.approx(2.0)
     assert fat == pytest.approx(draw.values["fat thickness"])

@@ -374,4 +374,4 @@ def kept_tissues(scenario: Scenario) -> tuple[str, ...]:
     """Tissues of the limb's layers and core that no draw changes, for the priors do not name them."""
     limb = scenario.limb
     named = [*(layer.tissue for layer in getattr(limb, "layers", ())), getattr(limb, "core", "")]
-    return tuple(dict.fromkeys(t for t in named if t and t not in SOFT))
+    return tuple(dict.fromkeys(t for t in named if t and t not in (*SOFT, FASCIA)))
