@@ -29,7 +29,7 @@ import psutil
 from matplotlib.figure import Figure
 
 from bench.tables import record_machine, write_csv
-from forearm_fem.store.results import read_transfer
+from forearm_fem.results.files import read_transfer
 from forearm_fem.transfer import band_error
 from forearm_fem.user_cache import default_cache_dir
 

@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from forearm_fem.engines.simulation import render_transfer
+from forearm_fem.results.files import read_transfer
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.store.results import read_transfer
 from forearm_fem.store.text import read_json
 from forearm_fem.transfer import (
     TransferMatrix,

@@ -26,7 +26,6 @@ from forearm_fem.questions.compare.parameters import (
     Parameter,
     ScenarioModel,
     common_parameters,
-    fem_compliance_of,
     fem_model_for,
 )
 from forearm_fem.scenario import Scenario, parse_scenario
@@ -60,7 +59,7 @@ def main() -> None:
     scene = parse_scenario(SCENE)
     chosen = common_parameters(scene, FITTED)
     start = time.process_time()
-    answer = ScenarioModel(scene, fem_compliance_of(fem_model_for(scene, chosen), BAND), memory=256)
+    answer = ScenarioModel(scene, fem_model_for(scene, chosen), BAND, memory=256)
     print(f"the model took {time.process_time() - start:.0f} s of the processor", flush=True)
     rng, found = np.random.default_rng(0), list[tuple[dict[str, float], FitResult]]()
     for _ in range(asked.arms):

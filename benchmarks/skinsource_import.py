@@ -16,7 +16,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from forearm_fem.files.recipe import ImportRecipe, import_by_recipe
-from forearm_fem.measurement.figures import plot_entries
 from forearm_fem.metrics import condition_number
 from forearm_fem.questions.compare.crossplay import wavelet_for
 from forearm_fem.rendering import (
@@ -28,6 +27,7 @@ from forearm_fem.rendering import (
     SearchedZeros,
     render_all,
 )
+from forearm_fem.show.calibration import plot_entries
 from forearm_fem.transfer import TransferMatrix
 
 ROOT = Path(__file__).parents[1]

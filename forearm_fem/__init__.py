@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from .rendering import Rendering as Rendering
     from .rendering.drives import Aim as Aim
     from .rendering.drives import Renderer as Renderer
-    from .rendering.interval import StrengthAccount as Strength
+    from .rendering.interval import Strength as Strength
     from .rendering.job import RenderJob as RenderJob
     from .scenario import Scenario as Scenario
     from .scenario import load_scenario as load_scenario
@@ -53,7 +53,6 @@ _HOMES = {
     "Rendering": "rendering",
     "Strength": "rendering.interval",
 }
-_ALIASES = {"Strength": "StrengthAccount"}
 
 __all__ = [
     "Aim", "ArmLibrary", "Compliance", "ErrorEstimate", "ForearmError", "Law", "RenderJob", "Renderer", "Rendering",
@@ -67,7 +66,7 @@ def __getattr__(name: str) -> Any:
     if name in _HOMES:
         from importlib import import_module
 
-        found = getattr(import_module(f"{__name__}.{_HOMES[name]}"), _ALIASES.get(name, name))
+        found = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
         globals()[name] = found  # a room of the same name would take its place when it is loaded
         return found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -13,7 +13,7 @@ from .transfer import TransferMatrix
 
 if TYPE_CHECKING:
     from .engines.simulation import Simulation
-    from .measurement.run import CalibrationResult
+    from .questions.calibrate import CalibrationResult
     from .questions.compare.run import CompareResult, FitCommandResult
     from .questions.design.run import DesignResult
     from .questions.predict.run import Prediction
@@ -103,7 +103,7 @@ def calibrate(
 
     ``options`` are ``daq``, ``card``, ``cable`` and the others of :func:`.run_calibration`.
     """
-    from .measurement.run import VirtualSetup, run_calibration
+    from .questions.calibrate import VirtualSetup, run_calibration
 
     if through is not None:
         options = {"daq": "virtual", "virtual": VirtualSetup(through), **options}

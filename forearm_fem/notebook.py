@@ -1,9 +1,13 @@
-"""Manners of results in a notebook: a line, a table, labelled arrays, a picture."""
+"""Manners of results in a notebook: a line, a table, labelled arrays, a picture, a file.
+
+The facade of the program: the one module that rooms above and below may import, and that loads them when asked.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +18,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import FigureBase
 
-    from .rendering.interval import StrengthAccount
+    from .rendering.interval import Strength
     from .rendering.rendered import Rendering
     from .transfer import Compliance, TransferMatrix
 
@@ -68,13 +72,28 @@ def plot_of_g(g: TransferMatrix) -> FigureBase:
     return plot_transfer(g)
 
 
-def line_of_s(s: StrengthAccount) -> str:
+def save_g(g: TransferMatrix, path: str | Path) -> None:
+    """Write G in the format of the path's ending."""
+    from .files.read import save  # every format, which few need
+
+    save(path, g)
+
+
+def save_s(s: Strength, path: str | Path) -> None:
+    """Write ``signal_strength.csv``, as a run does."""
+    from .results.files import strength_rows, write_signal_strength_csv
+
+    rows = strength_rows(s.methods, s.targets, s.value, (s.low, s.high), s.record, s.window, grouped=False)
+    write_signal_strength_csv(path, rows)
+
+
+def line_of_s(s: Strength) -> str:
     """E.g. ``<Strength of 3 methods at 9 targets; inverse filter 4.33, funneling 2.43 in the mean>``."""
     means = ", ".join(f"{m} {np.nanmean(row):.3g}" for m, row in zip(s.methods, s.value, strict=True))
     return f"<Strength at {len(s.targets)} targets; in the mean {means}>"
 
 
-def html_of_s(s: StrengthAccount) -> str:
+def html_of_s(s: Strength) -> str:
     """S of every target and method with its interval."""
     rows = [
         (t, *(f"{s.value[m, k]:.3g} ({s.low[m, k]:.3g} to {s.high[m, k]:.3g})" for m in range(len(s.methods))))
@@ -83,7 +102,7 @@ def html_of_s(s: StrengthAccount) -> str:
     return html(s.unknown or "S, and its interval by the errors stated for G", rows, ("target", *s.methods))
 
 
-def xarray_of_s(s: StrengthAccount) -> xr.Dataset:
+def xarray_of_s(s: Strength) -> xr.Dataset:
     """S with its interval and companions by renderer and target; "method" is what xarray's own ``sel`` calls its way of
     filling gaps."""
     import xarray as xr
@@ -93,7 +112,7 @@ def xarray_of_s(s: StrengthAccount) -> xr.Dataset:
     return xr.Dataset(arrays, {"renderer": list(s.methods), "target": list(s.targets)})
 
 
-def plot_of_s(s: StrengthAccount) -> FigureBase:
+def plot_of_s(s: Strength) -> FigureBase:
     """S by target with its interval; above the line S > 1 motion is focused."""
     from matplotlib.figure import Figure
 

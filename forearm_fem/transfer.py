@@ -246,9 +246,7 @@ class TransferMatrix:
 
     def save(self, path: str | Path) -> None:
         """Write G in the format of the path's ending: .nc (everything), .csv or .mat."""
-        from .files.read import save  # every format, which few need
-
-        save(path, self)
+        notebook.save_g(self, path)
 
 
 def finite(transfer: TransferMatrix) -> TransferMatrix:

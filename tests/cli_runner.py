@@ -7,6 +7,7 @@ import io
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -27,6 +28,9 @@ sample_rate = 2000.0
 [rendering]
 targets = ["5", "6"]
 """
+
+
+_PARSER = cache(get_command)
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,7 @@ def cli(*arguments: object, cwd: Path | None = None) -> Answer:
     argv = ["forearm-fem", *map(str, arguments)]
     with (
         mock.patch.object(sys, "argv", argv),
+        mock.patch("typer.main.get_command", _PARSER),  # else built anew for each line
         contextlib.chdir(cwd or Path.cwd()),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
@@ -70,7 +75,7 @@ def _exit_code() -> int:
 def every_command(group: Any = None, before: str = "") -> list[tuple[str, Any]]:
     """(name, command) of all that can be called, in the order of ``--help``; a group's as "study run"."""
     found = []
-    for name, command in (group or get_command(app)).commands.items():
+    for name, command in (group or _PARSER(app)).commands.items():
         inside = getattr(command, "commands", None)
         found += every_command(command, f"{before}{name} ") if inside else [(f"{before}{name}", command)]
     return found

@@ -27,9 +27,9 @@ from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.geometry.user.checks import with_boundaries
 from forearm_fem.measurement.recording import Recording, read_recording, write_recording
-from forearm_fem.store import results as io
+from forearm_fem.results import files as io
+from forearm_fem.results.wavefield import Wavefield, load_wavefield, save_wavefield
 from forearm_fem.store.record import load, save
-from forearm_fem.wavefield import Wavefield, load_wavefield, save_wavefield
 
 RNG = np.random.default_rng(0)
 G = dataclasses.replace(

@@ -20,13 +20,12 @@ from forearm_fem.errors import ForearmError, HardwareError, MeshError, ScenarioE
 from forearm_fem.files.recipe import load_recipe
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.measurement.daq import Wiring
-from forearm_fem.measurement.figures import save_live
 from forearm_fem.measurement.playback import LONGEST, play
-from forearm_fem.measurement.run import VirtualSetup
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions
+from forearm_fem.metrics.common_ground import common_ground
 from forearm_fem.ports import Port, distances
+from forearm_fem.questions.calibrate import VirtualSetup
 from forearm_fem.questions.campaign import load_campaign
-from forearm_fem.questions.compare.common import common_ground
 from forearm_fem.questions.compare.compare import compare
 from forearm_fem.questions.compare.readings import explained
 from forearm_fem.questions.compare.report import picture
@@ -37,9 +36,12 @@ from forearm_fem.rendering import ricker
 from forearm_fem.scenario import Scenario, apply_overrides, load_scenario, parse_scenario
 from forearm_fem.scenario.device import device_of
 from forearm_fem.scenario.measurement import DaqOptions
+from forearm_fem.show.calibration import save_live
 from forearm_fem.show.report import _twin, thesis_fit
 from forearm_fem.study.plan import load_study
 from forearm_fem.transfer import TransferMatrix
+
+pytestmark = pytest.mark.drawn
 
 
 def test_what_the_system_refuses_is_a_sentence_wherever_it_comes_up(tmp_path: Path) -> None:

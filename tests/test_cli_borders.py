@@ -17,9 +17,9 @@ from scipy.io import savemat
 from forearm_fem.cli import app as program
 from forearm_fem.geometry.device.layout import planform_ports
 from forearm_fem.ports import Port
+from forearm_fem.results.files import write_transfer
 from forearm_fem.scenario import load_scenario
 from forearm_fem.store.folder import set_kind
-from forearm_fem.store.results import write_transfer
 from forearm_fem.transfer import TransferMatrix
 
 WRITTEN = {"out", "save", "page", "data", "folder"}  # paths that a command makes

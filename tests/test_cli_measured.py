@@ -10,10 +10,10 @@ import pytest
 from cli_runner import SMALL, cli
 
 from forearm_fem.files import save
-from forearm_fem.store.results import read_transfer
+from forearm_fem.results.files import read_transfer
 from forearm_fem.transfer import band_error
 
-pytestmark = pytest.mark.usefixtures("same_integrals_once", "blank_pictures")
+pytestmark = pytest.mark.usefixtures("same_integrals_once")
 
 # 4 measurements instead of 36, each of which draws a picture
 TWO_BY_TWO = """

@@ -13,7 +13,7 @@ from forearm_fem.engines.simulation import simulate
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.device.place import place_ports
 from forearm_fem.questions.run import Run, run_solve
-from forearm_fem.results import read_run
+from forearm_fem.results.run import read_run
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.transfer import band_error, relative_error, relative_error_at, total_error
 

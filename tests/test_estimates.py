@@ -24,7 +24,7 @@ from forearm_fem.geometry.cache import cached_mesh, mesh_key
 from forearm_fem.geometry.device.sizing import element_sizes
 from forearm_fem.geometry.mesh.quality import mean_ratio
 from forearm_fem.questions.run import Run, run_all
-from forearm_fem.results import SolutionRecord
+from forearm_fem.results.run import SolutionRecord
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.elements import FreeUnderside
 from forearm_fem.scenario.tissues import Membrane

@@ -18,7 +18,7 @@ from forearm_fem.fem.reduction.expansion import expansion_rate
 from forearm_fem.fem.reduction.poles import pole_residue
 from forearm_fem.fem.reduction.reduced_model import ReducedModel, condensed, empty_model, with_last_columns
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
-from forearm_fem.results import SolutionRecord
+from forearm_fem.results.run import SolutionRecord
 from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block

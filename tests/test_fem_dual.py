@@ -12,6 +12,7 @@ from forearm_fem.fem.reduction.rate_space import RateSpace
 from forearm_fem.fem.reduction.reduced_model import empty_model, with_last_columns
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.scenario.sweep import ReducedSolve
+from forearm_fem.store.shelf import Shelf
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 
@@ -138,28 +139,9 @@ def test_a_richer_space_that_is_none_leaves_the_model_to_a_solve(model, monkeypa
     assert "residual" not in {c.by for c in result.certificates}
 
 
-def test_a_sweep_that_goes_on_from_its_store_is_certified_alike(model):
+def test_a_sweep_that_goes_on_from_its_store_is_certified_alike(model, tmp_path):
     """Its factors are made again for it, as no derivative asks for them."""
-    store = Kept()
-    first, again = (reduced_sweep(model, BAND, OPTIONS, tolerance=1e-3, snapshots=store) for _ in range(2))
+    kept = Shelf(tmp_path / "parts.sqlite")
+    first, again = (reduced_sweep(model, BAND, OPTIONS, tolerance=1e-3, kept=kept) for _ in range(2))
     assert again.certificates[0].by == "residual"
     assert again.certificates[0].error == pytest.approx(first.certificates[0].error, rel=1e-3)
-
-
-class Kept:
-    """Chunks of a sweep that was ended."""
-
-    def __init__(self):
-        self.all = {}
-
-    def get(self, frequency):
-        return None
-
-    def put(self, expansion):
-        raise AssertionError("nothing is expanded about a frequency here")
-
-    def chunks(self):
-        return tuple(self.all.values())
-
-    def put_chunk(self, number, chunk):
-        self.all[number] = chunk

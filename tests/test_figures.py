@@ -24,6 +24,7 @@ from forearm_fem.errors import DataError, NotApplicable
 from forearm_fem.layered.closed_forms import rayleigh_wavenumber
 from forearm_fem.layered.kernel import Layer, surface_kernel
 from forearm_fem.ports import Port
+from forearm_fem.results.files import write_transfer
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show import (
     Results,
@@ -47,10 +48,11 @@ from forearm_fem.show.registry import _chosen
 from forearm_fem.show.style import SHEET, arrange
 from forearm_fem.show.targets import moments
 from forearm_fem.show.waves import _row, kernel_root, line, travel
-from forearm_fem.store.results import write_transfer
 from forearm_fem.store.text import write_json
 from forearm_fem.tissue import KelvinVoigt, resolve_tissues
 from forearm_fem.transfer import ErrorEstimate, entry_errors
+
+pytestmark = pytest.mark.drawn
 
 
 @pytest.fixture(scope="module")

@@ -11,18 +11,15 @@ import pytest
 from scenes import once
 
 from forearm_fem.device import close_loop, contact_state
+from forearm_fem.engines.layered import flat_layers
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.device.place import place_ports
 from forearm_fem.geometry.mesh.files import write_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.layered import Disc, layered_compliance
 from forearm_fem.ports import positions
-from forearm_fem.questions.compare.parameters import layers_from
 from forearm_fem.rendering import render_all, ricker
-from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.show import Results
-from forearm_fem.show.patch import volar_patch
-from forearm_fem.store.results import (
+from forearm_fem.results.files import (
     stack,
     strength_rows,
     write_displacements,
@@ -30,8 +27,11 @@ from forearm_fem.store.results import (
     write_signal_strength_csv,
     write_transfer,
 )
+from forearm_fem.results.wavefield import Wavefield, save_wavefield
+from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.show import Results
+from forearm_fem.show.patch import volar_patch
 from forearm_fem.transfer import Compliance, ErrorEstimate, TransferMatrix
-from forearm_fem.wavefield import Wavefield, save_wavefield
 
 RADII = np.concatenate([[0.0], np.geomspace(1e-3, 0.1, 40)])
 SCENE = {
@@ -75,7 +75,7 @@ def twin(scenario: Scenario, mesh: TissueMesh) -> tuple[Compliance, np.ndarray]:
     ports = place_ports(scenario, mesh)
     f = np.arange(2, 81) * 5.0
     discs = [Disc(p.position[0], p.position[1], p.radius if p.kind == "contact" else 0.0) for p in ports]
-    layers, omega = layers_from(scenario), 2 * np.pi * f
+    layers, omega = flat_layers(scenario), 2 * np.pi * f
     values = np.full((len(f), len(ports), len(ports)), np.nan + 0j)
     values[:, :, :4] = layered_compliance(layers, omega, discs[:4], discs, tolerance=1e-4).values
     values[:, :4] = values[:, :, :4].swapaxes(1, 2)

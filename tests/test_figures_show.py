@@ -30,6 +30,8 @@ from forearm_fem.show.interact import Room, interact
 from forearm_fem.show.motion import View, motion, nice
 from forearm_fem.show.scene import plotter_for
 
+pytestmark = pytest.mark.drawn
+
 SMALL = (320, 240)
 
 

@@ -8,6 +8,8 @@ from forearm_fem.errors import NotApplicable
 from forearm_fem.show.style import _behind, clear_legends, fit_width
 from forearm_fem.show.targets import moments
 
+pytestmark = pytest.mark.drawn
+
 
 def test_a_legend_hides_no_curve():
     """Room is made above the curves, on both kinds of scale."""

@@ -42,7 +42,7 @@ from forearm_fem.measurement.entry import entry
 from forearm_fem.measurement.estimators import excited
 from forearm_fem.measurement.playback import play
 from forearm_fem.measurement.virtual import Faults, noise_for
-from forearm_fem.store.results import write_transfer
+from forearm_fem.results.files import write_transfer
 
 PORTS = (OUTPUTS, INPUTS)
 KNOWN = Declaration(unit="m/V", spectrum="one-sided", sign="+iwt", variable="G", frequency_variable="frequency_Hz")

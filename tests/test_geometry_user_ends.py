@@ -13,7 +13,7 @@ from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.geometry.user.checks import with_boundaries, without_bone
 from forearm_fem.geometry.user.volume import background_grid
 from forearm_fem.questions.run import Run, run_solve
-from forearm_fem.results import read_run
+from forearm_fem.results.run import read_run
 from forearm_fem.scenario import parse_scenario
 
 LENGTH, WIDTH, STEP = 0.06, 0.04, 5e-3

@@ -18,7 +18,7 @@ from scipy.io import loadmat
 from forearm_fem import files
 from forearm_fem.errors import DataError
 from forearm_fem.ports import Port
-from forearm_fem.store import results as io
+from forearm_fem.results import files as io
 from forearm_fem.store.folder import atomic_path, write_text
 from forearm_fem.transfer import Compliance, ErrorEstimate, TransferMatrix
 

@@ -26,16 +26,11 @@ from forearm_fem.measurement.diagnostics import _lost, diagnose
 from forearm_fem.measurement.entry import bias_said, entry
 from forearm_fem.measurement.estimators import ExponentialSweep, estimate, excited, spectra
 from forearm_fem.measurement.recording import Recording
-from forearm_fem.measurement.run import (
-    VirtualSetup,
-    calibration_plan,
-    run_calibration,
-    virtual_device,
-)
 from forearm_fem.measurement.virtual import Faults, VirtualSensor, noise_for
 from forearm_fem.metrics import signal_strength
+from forearm_fem.questions.calibrate import VirtualSetup, calibration_plan, run_calibration, virtual_device
 from forearm_fem.questions.compare.compare import compare
-from forearm_fem.questions.compare.parameters import ScenarioModel, layered_compliance_of
+from forearm_fem.questions.compare.parameters import ScenarioModel, TwinBetween
 from forearm_fem.questions.compare.run import _biased
 from forearm_fem.rendering import InverseFilter, displacements, drives, ricker
 from forearm_fem.scenario import parse_scenario
@@ -256,7 +251,7 @@ def test_an_offset_of_the_sensor_changes_no_entry_and_hides_no_lost_sample(offse
     assert np.allclose(found.value, entry(clean, (10.0, 500.0), plan.options).value, rtol=1e-9)
 
 
-@pytest.mark.parametrize("bits", [4, 6, 8])
+@pytest.mark.parametrize("bits", [4, 6, pytest.param(8, marks=pytest.mark.slow)])
 def test_coarse_converters_lose_no_samples_and_copy_no_entries(tmp_path, bits):
     """Single steps up and down are alike at some lag; entries that symmetry makes equal are rounded alike."""
     truth = wave_matrix()
@@ -391,7 +386,7 @@ def test_thesis_size_loop_on_the_layered_twin(tmp_path, snr_db, strengths):
     table.
     """
     scenario = parse_scenario({})
-    twin = ScenarioModel(scenario, layered_compliance_of(np.arange(20, 1001) * 0.5, *planform_ports(scenario)))
+    twin = ScenarioModel(scenario, TwinBetween(*planform_ports(scenario)), np.arange(20, 1001) * 0.5)
     truth = replace(twin({}), contacts=None)
     setup = VirtualSetup(truth, snr_db, latency=5)
     estimate = run_calibration(scenario, tmp_path, virtual=setup, figure=False).measured.transfer
@@ -410,7 +405,7 @@ def test_thesis_size_loop_on_the_layered_twin(tmp_path, snr_db, strengths):
 def test_a_window_buys_back_most_of_what_20_db_cost(tmp_path):
     """The last line of that table: impulse responses cut to 0.2 s of the 2 s record."""
     scenario = parse_scenario({"measurement": {"estimator": "deconvolution", "window": 0.2}})
-    twin = ScenarioModel(scenario, layered_compliance_of(np.arange(20, 1001) * 0.5, *planform_ports(scenario)))
+    twin = ScenarioModel(scenario, TwinBetween(*planform_ports(scenario)), np.arange(20, 1001) * 0.5)
     truth = replace(twin({}), contacts=None)
     setup = VirtualSetup(truth, 20.0, latency=5)
     estimate = run_calibration(scenario, tmp_path, virtual=setup, figure=False).measured.transfer

@@ -33,10 +33,10 @@ from forearm_fem.files.wav import write_wav_drives
 from forearm_fem.measurement.calibrate import calibrate, collected
 from forearm_fem.measurement.playback import play
 from forearm_fem.measurement.recording import read_recording
-from forearm_fem.measurement.run import VirtualSetup, calibration_plan, run_calibration, run_play
 from forearm_fem.measurement.virtual import Faults, VirtualDaq, VirtualOptions
+from forearm_fem.questions.calibrate import VirtualSetup, calibration_plan, run_calibration, run_play
+from forearm_fem.results.files import read_transfer
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.store.results import read_transfer
 
 SCENE = part(wave_matrix(), 3, 2)
 PERIODS = 5 * SWEEP.n  # samples per entry: lead-in and 4 repeats

@@ -17,7 +17,7 @@ from forearm_fem.measurement.daq import OpenDevice, Wiring
 from forearm_fem.measurement.playback import delay_of, loopback, read_loopback
 from forearm_fem.measurement.sound import SoundCard
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions, VirtualSensor
-from forearm_fem.store.results import read_drives, read_transfer
+from forearm_fem.results.files import read_drives, read_transfer
 from forearm_fem.transfer import band_error
 
 RATE = 48_000.0

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import subprocess
 import tomllib
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
@@ -121,3 +123,19 @@ def test_wheel_runs_outside_the_clone():
     done = subprocess.run([HOME / ".ci" / "wheel"], env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "works outside the clone" in done.stdout
+
+
+def test_rooms_import_no_circles():
+    """A reader who goes down from a question to the solver never comes back up; ``notebook`` and ``api`` are the
+    facade, which loads every room when it is asked."""
+    home, below = HOME / "forearm_fem", dict[str, set[str]]()
+    for file in home.rglob("*.py"):
+        *folders, name = file.relative_to(home).with_suffix("").parts
+        room = (*folders, name)[0]
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.level:
+                path = [*folders[: len(folders) + 1 - node.level], *(node.module or "").split(".")]
+                heads = [a.name for a in node.names] if path == [""] else [path[0]]
+                below.setdefault(room, set()).update(h for h in heads if h not in (room, "notebook", "api"))
+    order = list(TopologicalSorter({k: v for k, v in below.items() if k not in ("notebook", "api")}).static_order())
+    assert order.index("scenario") < order.index("engines") < order.index("questions") < order.index("cli")

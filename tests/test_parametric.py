@@ -27,7 +27,6 @@ from forearm_fem.questions.compare.fit import fit
 from forearm_fem.questions.compare.parameters import (
     ScenarioModel,
     common_parameters,
-    fem_compliance_of,
     fem_meshes_for,
     fem_model_for,
 )
@@ -183,6 +182,7 @@ SMALL = Growth(rate=5, solves=3, checks=2, parts=2, states=15)
 STEPS, FACTORISED = 1 + 3 + 2 + 2, 1 + 3 + 2
 
 
+@pytest.mark.slow
 def test_what_was_finished_before_an_interruption_is_not_made_again(tmp_path, monkeypatch):
     """Stopped after a solve, a piece and a check, and amid a solve: factorisations are counted, results are those of an
     uninterrupted making to the last digit."""
@@ -275,6 +275,7 @@ def scene_on_fine_mesh(cache) -> Compliance:
     return on_fine_mesh(TWO_MESHES)
 
 
+@pytest.mark.slow
 def test_what_elements_err_by_is_estimated_for_each_arm(on_coarse_mesh, scene_on_fine_mesh):
     """Against a mesh of half the size: stated at least at three quarters (dispersion of two coarse meshes) and at most
     three times the truth, for the scene and for an arm five times as stiff, whose waves are longer."""
@@ -295,6 +296,7 @@ def test_what_elements_err_by_is_estimated_for_each_arm(on_coarse_mesh, scene_on
     assert [e.source for e in without.compliance(TWO_MESHES, LOW[:1]).errors] == ["reduction"]
 
 
+@pytest.mark.slow
 def test_waves_that_are_late_on_the_mesh_are_so_for_an_arm_as_for_a_scene(on_coarse_mesh):
     """A tenth of a radian: order 1.3 is assumed of a change that is small, instead of 1.85, for draws and for fits."""
 
@@ -312,6 +314,7 @@ def test_waves_that_are_late_on_the_mesh_are_so_for_an_arm_as_for_a_scene(on_coa
     assert (replace(meshes, lags=Late()).share(TWO_MESHES, found) > meshes.share(TWO_MESHES, found)).any()
 
 
+@pytest.mark.slow
 def test_what_elements_err_by_is_known_for_each_pair(on_coarse_mesh):
     """Its largest pair is what is stated, or the whole band's; the answers that an arm may have differ by it, too."""
     arm = on_coarse_mesh
@@ -330,6 +333,7 @@ def test_what_elements_err_by_is_known_for_each_pair(on_coarse_mesh):
     assert moved(arm) > 1.5 * moved(replace(arm, meshes=None))
 
 
+@pytest.mark.slow
 def test_intervals_of_a_fit_hold_what_the_elements_err_by(on_coarse_mesh, scene_on_fine_mesh, monkeypatch):
     """Data of a mesh of half the size without noise: without the mesh's error the intervals miss what made them."""
     arm, names = on_coarse_mesh, ("skin.mu", "fat.mu")
@@ -353,6 +357,7 @@ def test_intervals_of_a_fit_hold_what_the_elements_err_by(on_coarse_mesh, scene_
     assert "numerics: unknown; what the elements err by is in no interval (solver.disc" in without.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", [("fat.eta",), ("fat.mu", "skin.eta")])
 def test_intervals_hold_what_the_elements_err_by_where_two_meshes_agree_by_chance(
     on_coarse_mesh, scene_on_fine_mesh, monkeypatch, names
@@ -683,7 +688,7 @@ def test_a_fit_recovers_an_arm_of_finite_elements(model):
     scene, names = parse_scenario(SCENE), ("skin.mu", "fat.mu", "muscle.eta")
     chosen = common_parameters(scene, names)
     true = {p.name: p.start * factor for p, factor in zip(chosen, (1.4, 0.7, 1.25), strict=True)}
-    answer = ScenarioModel(scene, fem_compliance_of(model, PROBES))
+    answer = ScenarioModel(scene, model, PROBES)
     arm = answer.scenario(true)
     clean = close_loop(model.compliance(arm, PROBES), arm.device)
     values = fem_transfer(arm)
@@ -710,7 +715,7 @@ def test_intervals_of_a_fit_hold_what_the_reduction_errs_by(model, monkeypatch):
     monkeypatch.setattr("forearm_fem.questions.compare.run.fem_model_for", made)
     whole = run_fit(scene, data, names, fem=True)
     noise, coarse = (
-        fit(ScenarioModel(scene, fem_compliance_of(m, PROBES)), data, chosen) for m in (model, model.coarser)
+        fit(ScenarioModel(scene, m, PROBES), data, chosen) for m in (model, model.coarser)
     )
     for p in chosen:
         own, moved = np.log(noise.interval[p.name][1] / noise.values[p.name]), np.log(coarse.values[p.name] / p.start)

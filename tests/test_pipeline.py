@@ -19,14 +19,13 @@ from forearm_fem.fem.reduction.expansion import Expansion
 from forearm_fem.files.mat import read_thesis_mat
 from forearm_fem.geometry.mesh.tissue_mesh import with_finer_skin
 from forearm_fem.questions.run import Run, run_all, run_render, run_solve
-from forearm_fem.results import read_run
+from forearm_fem.results.files import read_compliance, read_transfer
+from forearm_fem.results.run import read_run
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.sweep import ReducedSolve
-from forearm_fem.store.results import read_compliance, read_transfer
 from forearm_fem.transfer import Compliance
 from forearm_fem.verification.scenes import held_block
 
-pytestmark = pytest.mark.usefixtures("blank_pictures")
 TINY = {
     "name": "tiny",
     "accuracy": 0.5,

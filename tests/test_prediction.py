@@ -29,10 +29,11 @@ from forearm_fem.questions.predict.draws import (
     moved_points,
     scenario_of,
 )
-from forearm_fem.questions.predict.outcome import KEPT, READINGS, DrawsFile, Outcome, drivers_of, outcome_of
-from forearm_fem.questions.predict.run import FILE, Prediction, Question, check_question, predict
+from forearm_fem.questions.predict.outcome import drivers_of, outcome_of
+from forearm_fem.questions.predict.run import Prediction, Question, check_question, predict
 from forearm_fem.questions.predict.summary import shorter_waves, summary
 from forearm_fem.rendering import drives, strengths
+from forearm_fem.results.draws import DRAWS_FILE, KEPT, READINGS, DrawsFile, Outcome
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.show.data import Results
@@ -45,7 +46,7 @@ from forearm_fem.store.text import read_json
 from forearm_fem.tissue import resolve_tissues
 from forearm_fem.transfer import ErrorEstimate
 
-pytestmark = pytest.mark.usefixtures("same_integrals_once", "blank_pictures")
+pytestmark = pytest.mark.usefixtures("same_integrals_once")
 
 # 50 bins, two targets and pressure discs: a draw in 0.1 s of an idle machine
 SMALL = {
@@ -86,7 +87,7 @@ def test_an_interrupted_prediction_goes_on_with_the_same_numbers(
     with pytest.raises(KeyboardInterrupt):
         predict(question(), tmp_path, draws=N, workers=1, progress=stop)
     assert len(Shelf(tmp_path / WORK).known()) == 7
-    assert not (tmp_path / FILE).exists()
+    assert not (tmp_path / DRAWS_FILE).exists()
     again = predict(question(), tmp_path, draws=N, workers=1)
     assert again.reused == 7
     assert np.array_equal(again.draws.strengths, whole.draws.strengths)
@@ -112,7 +113,7 @@ def test_other_processes_give_the_same_numbers(
     other = predict(question(), tmp_path, draws=N, workers=2)
     assert np.array_equal(other.draws.strengths, whole.draws.strengths)
     assert other.draws.laws == whole.draws.laws
-    one, two = (load(place / FILE, DrawsFile).outcomes[1].transfer for place in (folder, tmp_path))
+    one, two = (load(place / DRAWS_FILE, DrawsFile).outcomes[1].transfer for place in (folder, tmp_path))
     assert one is not None
     assert np.array_equal(one, two)
 
@@ -444,7 +445,7 @@ def test_what_is_held_moves_nothing(found: tuple[Prediction, Path]) -> None:
 
 def test_draws_are_read_back_and_damage_is_told(found: tuple[Prediction, Path], tmp_path: Path) -> None:
     whole, folder = found
-    file = load(folder / FILE, DrawsFile)
+    file = load(folder / DRAWS_FILE, DrawsFile)
     back = file.outcomes
     assert file.question == question().digest
     assert [o.number for o in back] == list(range(N))
@@ -453,13 +454,13 @@ def test_draws_are_read_back_and_damage_is_told(found: tuple[Prediction, Path], 
     kept = [o.transfer for o in back if o.number < KEPT]
     assert all(g is not None and np.isfinite(g).all() and g.shape == kept[0].shape for g in kept)
     assert np.abs(kept[1] - kept[0]).max() > 0.01 * np.abs(kept[0]).max()  # another arm, another G
-    with h5py.File(folder / FILE) as file:
+    with h5py.File(folder / DRAWS_FILE) as file:
         assert file["G"].attrs["units"] == "m/V"
-    content = bytearray((folder / FILE).read_bytes())
+    content = bytearray((folder / DRAWS_FILE).read_bytes())
     content[len(content) // 2] ^= 0x40
-    (tmp_path / FILE).write_bytes(content)
+    (tmp_path / DRAWS_FILE).write_bytes(content)
     with pytest.raises(DataError):
-        load(tmp_path / FILE, DrawsFile)
+        load(tmp_path / DRAWS_FILE, DrawsFile)
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,8 @@ from forearm_fem.show.facts import condition_words, differences, exceeded, limit
 from forearm_fem.show.judge import Strengths, strengths
 from forearm_fem.show.report import write_report
 
+pytestmark = pytest.mark.drawn
+
 
 @pytest.fixture(scope="module")
 def report(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str, Path]:  # noqa: F811

@@ -7,7 +7,15 @@ import pytest
 
 from forearm_fem.errors import DataError
 from forearm_fem.ports import Port
-from forearm_fem.results import ErrorRecord, RunRecord, StageCost, StrengthRecord, condition_of, read_run, write_run
+from forearm_fem.results.run import (
+    ErrorRecord,
+    RunRecord,
+    StageCost,
+    StrengthRecord,
+    condition_of,
+    read_run,
+    write_run,
+)
 from forearm_fem.show.data import Results
 from forearm_fem.transfer import ErrorEstimate, TransferMatrix
 

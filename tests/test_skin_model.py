@@ -11,8 +11,8 @@ from scenes import once
 from forearm_fem.engines.skin_model import load_skin_model, save_skin_model
 from forearm_fem.errors import AccuracyWarning, DataError, ReductionError, ScenarioError
 from forearm_fem.questions.run import Run, run_solve
+from forearm_fem.results.files import read_transfer
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.store.results import read_transfer
 from forearm_fem.transfer import relative_error
 
 SCENE = {

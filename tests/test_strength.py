@@ -15,9 +15,9 @@ from forearm_fem.engines.notes import check_samples, sample_notes
 from forearm_fem.engines.simulation import account_of, render_transfer
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
 from forearm_fem.measurement.entry import noise_estimate
+from forearm_fem.metrics.common_ground import common_ground
 from forearm_fem.metrics.strength import strength_text, without_bound
 from forearm_fem.ports import Port
-from forearm_fem.questions.compare.common import common_ground
 from forearm_fem.questions.compare.crossplay import cross_play
 from forearm_fem.questions.compare.run import run_compare
 from forearm_fem.questions.predict.run import Question, check_question
@@ -39,7 +39,7 @@ from forearm_fem.rendering import (
     thesis_renderers,
 )
 from forearm_fem.rendering import interval as account_module
-from forearm_fem.rendering.interval import at_least_band, finer_than_known, strength_account
+from forearm_fem.rendering.interval import at_least_band, finer_than_known, strength_of
 from forearm_fem.rendering.job import check_servable, renderers
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show import Results
@@ -165,7 +165,7 @@ def test_the_interval_holds_nine_in_ten_of_errors_that_it_was_not_made_from():
     shape, methods = ricker(duration=0.25), thesis_renderers()
     inside, widths = [], []
     for truth, g in map(with_errors, range(3)):
-        found = strength_account(render_all(g, TARGETS, methods, shape), methods, shape)
+        found = strength_of(render_all(g, TARGETS, methods, shape), methods, shape)
         true = strengths(truth, TARGETS, methods, shape)
         inside.append((found.low <= true) & (true <= found.high))
         widths.append((found.high - found.low) / 2 / np.abs(true - found.value))
@@ -183,7 +183,7 @@ def test_the_interval_of_errors_that_tell_pairs_apart_is_narrower_and_holds_as_m
         alike, e = g.errors[0], np.array(g.errors[0].per_frequency)
         apart = replace(alike, per_pair=over_pairs(e, coarse.values, g.values, BINS))
         wide, narrow = (
-            strength_account(render_all(known, TARGETS, methods, shape), methods, shape)
+            strength_of(render_all(known, TARGETS, methods, shape), methods, shape)
             for known in (g, replace(g, errors=(apart,)))
         )
         true = strengths(truth, TARGETS, methods, shape)
@@ -204,7 +204,7 @@ def test_the_interval_grows_with_the_error_and_hears_every_source():
     g, shape, methods = waves(BINS), ricker(duration=0.25), (InverseFilter(),)
 
     def half(*errors):
-        found = strength_account(render_all(replace(g, errors=errors), TARGETS, methods, shape), methods, shape)
+        found = strength_of(render_all(replace(g, errors=errors), TARGETS, methods, shape), methods, shape)
         return np.log(found.high / found.low).mean() / 2
 
     small, large = ErrorEstimate("truncation", 1e-4, "t"), ErrorEstimate("truncation", 2e-4, "t")
@@ -219,7 +219,7 @@ def test_an_unknown_source_leaves_the_interval_unknown_and_says_so():
         ((), "G carries no error estimate"),  # neither has a deviation
     ):
         g = replace(waves(BINS), errors=errors)
-        found = strength_account(render_all(g, ("5",), methods, shape), methods, shape)
+        found = strength_of(render_all(g, ("5",), methods, shape), methods, shape)
         assert said in found.unknown
         assert np.isnan(found.low).all()
         assert np.isnan(found.high).all()
@@ -232,7 +232,7 @@ def test_the_deviation_of_a_measured_g_makes_the_interval_of_s():
 
     def found(values, size):
         measured = replace(g, values=values, deviation=size)
-        return strength_account(render_all(measured, TARGETS, methods, shape), methods, shape, measured=True)
+        return strength_of(render_all(measured, TARGETS, methods, shape), methods, shape, measured=True)
 
     rng, true, inside = np.random.default_rng(5), strengths(g, TARGETS, methods, shape), []
     for _ in range(4):
@@ -257,7 +257,7 @@ def test_the_noise_of_a_measured_g_is_drawn_once():
     deviation = np.full(g.values.shape, 0.01) * np.abs(g.values).max(axis=(1, 2), keepdims=True)
     stated = noise_estimate(g.frequency, g.values, deviation, np.ones(g.values.shape, dtype=bool))
     once, both, other = (
-        strength_account(render_all(replace(g, deviation=d, errors=e), TARGETS, methods, shape), methods, shape, True)
+        strength_of(render_all(replace(g, deviation=d, errors=e), TARGETS, methods, shape), methods, shape, True)
         for d, e in ((deviation, ()), (deviation, stated), (None, stated))
     )
     assert np.array_equal(both.high, once.high)
@@ -270,9 +270,9 @@ def test_draws_on_a_shorter_record_give_the_same_interval(monkeypatch):
     g = replace(waves(np.arange(10.0, 500.1, 1.0)), errors=(MESH,))
     shape, methods = ricker(duration=1.0), (InverseFilter(),)
     rendering = render_all(g, TARGETS, methods, shape)
-    short = strength_account(rendering, methods, shape)
+    short = strength_of(rendering, methods, shape)
     monkeypatch.setattr(account_module, "_LEAST_SPAN", 1e3)
-    whole = strength_account(rendering, methods, shape)
+    whole = strength_of(rendering, methods, shape)
     assert np.allclose(np.log(short.high / short.low), np.log(whole.high / whole.low), rtol=0.02)  # S differs by 1e-3
 
 
@@ -283,9 +283,9 @@ def test_a_window_aside_or_short_has_the_interval_of_the_whole_record(monkeypatc
     g = replace(waves(np.arange(10.0, 500.1, 1.0)), errors=(MESH,))
     shape, methods = ricker(duration=1.0), (InverseFilter(),)
     rendering = render_all(g, TARGETS, methods, shape, window=window)
-    short = strength_account(rendering, methods, shape)
+    short = strength_of(rendering, methods, shape)
     monkeypatch.setattr(account_module, "_LEAST_SPAN", 1e3)
-    whole = strength_account(rendering, methods, shape)
+    whole = strength_of(rendering, methods, shape)
     ratio = np.log(short.high / short.low) / np.log(whole.high / whole.low)
     assert np.abs(ratio - 1).max() < 0.3  # far from t = 0 the edges of the band ring; without it 0.8
 
@@ -363,9 +363,9 @@ def test_what_cannot_be_bridged_stays_open_and_its_cost_is_stated():
     rendering = render_all(holed, TARGETS, methods, shape)
     assert rendering.bridged.left > 0
     assert "could not be bridged" in rendering.bridged.sentence
-    account = strength_account(rendering, methods, shape)
+    account = strength_of(rendering, methods, shape)
     assert account.holes.max() > 0
-    plain = strength_account(replace(rendering, bridged=replace(rendering.bridged, guess=None)), methods, shape)
+    plain = strength_of(replace(rendering, bridged=replace(rendering.bridged, guess=None)), methods, shape)
     assert np.allclose(account.high - plain.high, account.holes)  # the interval holds it
 
 
@@ -389,10 +389,10 @@ def test_what_missing_ends_cost_is_in_the_interval(ends):
     whole = render_all(g, TARGETS, methods, shape).strengths
     holed = with_holes(g, ends)
     rendering = render_all(holed, TARGETS, methods, shape)
-    account = strength_account(rendering, methods, shape)
+    account = strength_of(rendering, methods, shape)
     assert (account.holes > 0).all()
     assert (np.abs(account.value - whole) <= 1.5 * account.holes).all()
-    calm = strength_account(replace(rendering, bridged=replace(rendering.bridged, ends=0)), methods, shape)
+    calm = strength_of(replace(rendering, bridged=replace(rendering.bridged, ends=0)), methods, shape)
     assert np.allclose(account.high - calm.high, account.holes)
 
 
@@ -406,7 +406,7 @@ def test_ends_that_cannot_be_judged_leave_the_interval_unknown(monkeypatch):
     monkeypatch.setattr(module, "with_wider_ends", nowhere)
     shape, methods = ricker(duration=0.25), (Funneling(),)
     rendering = render_all(with_holes(replace(waves(BINS), errors=(MESH,)), slice(0, 3)), TARGETS, methods, shape)
-    account = strength_account(rendering, methods, shape)
+    account = strength_of(rendering, methods, shape)
     assert np.isnan(account.holes).all()
     assert np.isnan(account.low).all()
     assert np.isfinite(account.value).all()
@@ -493,14 +493,14 @@ def test_what_a_simulation_states_of_its_own_errors_moves_no_drive(method):
     cautious = replace(plain, errors=(replace(MESH, band=0.3, frequency=(), per_frequency=()),))
     few, many = (strengths(g, ("7", "10"), (method,), shape) for g in (plain, cautious))
     assert np.array_equal(few, many)
-    account = strength_account(render_all(cautious, ("7", "10"), (method,), shape), (method,), shape)
+    account = strength_of(render_all(cautious, ("7", "10"), (method,), shape), (method,), shape)
     assert (account.high > 1.05 * account.value).all()
 
 
 def test_silence_finer_than_g_is_known_is_said():
     """1 / S of the target's motion is what is left at the others; a G that is wrong by more keeps more of it."""
     plain, shape = waves(BINS, nested(9), five_by_four(), gains=np.ones(9)), ricker(duration=0.25)
-    account = strength_account(render_all(plain, ("7", "10"), (InverseFilter(),), shape), (InverseFilter(),), shape)
+    account = strength_of(render_all(plain, ("7", "10"), (InverseFilter(),), shape), (InverseFilter(),), shape)
     best = float(account.value.max())
     for share, said in ((1.5, True), (0.5, False)):
         sentence = finer_than_known(account, (ErrorEstimate("truncation", share / best, "t"),))

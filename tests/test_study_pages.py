@@ -20,7 +20,7 @@ from test_study_session import GRID, opened, silent, small
 
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.ports import Port
-from forearm_fem.store.results import write_transfer
+from forearm_fem.results.files import write_transfer
 from forearm_fem.study.answers import read_answers
 from forearm_fem.study.export import export
 from forearm_fem.study.run import Prepared

@@ -18,9 +18,9 @@ pytest.importorskip("pandas")
 from forearm_fem.errors import DataError, HardwareError, ScenarioError
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions
 from forearm_fem.rendering import InverseFilter, drives, render_all, ricker
+from forearm_fem.results.files import write_transfer
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.measurement import DaqOptions
-from forearm_fem.store.results import write_transfer
 from forearm_fem.study.answers import read_answers
 from forearm_fem.study.export import at_rate, export
 from forearm_fem.study.levels import Motion, apart, motion, sensitivity, told

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -155,10 +156,10 @@ def test_s_of_a_g_read_from_a_file_is_s_of_the_simulation(simulation: Simulation
     assert np.array_equal(again.high, simulation.strength.high)
 
 
-def test_a_renderer_of_one_s_own_runs_from_a_scenario(home: Path, tmp_path: Path):
+def test_a_renderer_of_one_s_own_runs_from_a_scenario(home: Path, simulation: Simulation, tmp_path: Path):
     text = SMALL.replace("[rendering]", '[rendering]\nmethods = ["mine:Loudest", "funneling"]')
     (home / "loud.toml").write_text(text)
-    found = simulate(load_scenario(home / "loud.toml")).strength
+    found = replace(simulation, scenario=load_scenario(home / "loud.toml")).strength
     assert found.methods == ("all alike", "funneling")
     assert np.isfinite(found.value).all()
     assert (found.high > found.low).all()
@@ -246,7 +247,7 @@ def test_series_that_a_law_need_not_give(law: Zener | SpringPot, omega: float):
 
 
 @pytest.mark.parametrize(("code", "said"), [("none:Loudest", "no module"), ("mine:Softest", "has no Softest")])
-def test_code_that_is_not_there_is_said(home: Path, code: str, said: str):
+def test_code_that_is_not_there_is_said(home: Path, simulation: Simulation, code: str, said: str):
     (home / "wrong.toml").write_text(SMALL.replace("[rendering]", f'[rendering]\nmethods = ["{code}"]'))
     with pytest.raises(ScenarioError, match=said):
-        simulate(load_scenario(home / "wrong.toml")).strength  # noqa: B018
+        replace(simulation, scenario=load_scenario(home / "wrong.toml")).strength  # noqa: B018

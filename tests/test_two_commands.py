@@ -16,9 +16,9 @@ from cli_runner import SMALL, cli, leftovers
 from forearm_fem.cli.common import out_folder
 from forearm_fem.errors import DataError
 from forearm_fem.questions.run import Run
+from forearm_fem.results.files import read_transfer
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.store.folder import locked
-from forearm_fem.store.results import read_transfer
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 

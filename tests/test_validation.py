@@ -19,9 +19,9 @@ from forearm_fem.questions.predict.published import SHAH_ARMS, TARGETS, Arm, Tar
 from forearm_fem.questions.predict.run import Question
 from forearm_fem.questions.predict.statistics import Draws
 from forearm_fem.questions.predict.validate import validate
+from forearm_fem.results.files import write_transfer
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show.validation import coverage, failures, joint_words, validation_page
-from forearm_fem.store.results import write_transfer
 from forearm_fem.store.text import read_json
 from forearm_fem.tissue import KelvinVoigt
 from forearm_fem.transfer import TransferMatrix

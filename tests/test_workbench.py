@@ -23,10 +23,10 @@ from forearm_fem.engines.simulation import simulate
 from forearm_fem.engines.skin_model import load_skin_model
 from forearm_fem.errors import DataError, GeometryError
 from forearm_fem.files.tables import write_csv
-from forearm_fem.questions.predict.outcome import DrawsFile, Outcome
-from forearm_fem.questions.predict.run import FILE
 from forearm_fem.questions.run import Run, run_render
 from forearm_fem.rendering import Funneling, render_all, ricker, strengths
+from forearm_fem.results.draws import DRAWS_FILE, DrawsFile, Outcome
+from forearm_fem.results.files import read_compliance, read_transfer, write_transfer
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show import Results
 from forearm_fem.show.motion import View, motion
@@ -35,7 +35,6 @@ from forearm_fem.show.workbench.bundle import script
 from forearm_fem.show.workbench.content import measured_content, short_scenario
 from forearm_fem.show.workbench.field import few_shapes, per_newton, solved_field
 from forearm_fem.store.record import save
-from forearm_fem.store.results import read_compliance, read_transfer, write_transfer
 from forearm_fem.store.text import write_json
 from forearm_fem.transfer import ErrorEstimate, TransferMatrix
 
@@ -374,7 +373,7 @@ def drawn(flat: Results, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
         for k, kept in enumerate([*(a.values.astype(np.complex64) for a in arms), None])
     ]
     draws = DrawsFile.of(made, ("a", "b", "c"), tuple("123456789"), "x", g.frequency)
-    save(place / "prediction" / FILE, draws)
+    save(place / "prediction" / DRAWS_FILE, draws)
     return place, arms
 
 

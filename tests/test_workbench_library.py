@@ -19,7 +19,7 @@ from forearm_fem.engines.solved import Solved
 from forearm_fem.errors import GeometryError
 from forearm_fem.geometry.device.layout import layout_of
 from forearm_fem.ports import Port
-from forearm_fem.results import SolutionRecord
+from forearm_fem.results.run import SolutionRecord
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.show.workbench import places as module

@@ -30,7 +30,7 @@ truth = simulate(arm).transfer
 #
 #     forearm-fem calibrate subject.toml --daq virtual --snr 50
 #     forearm-fem calibrate subject.toml --daq ni
-from forearm_fem.measurement.run import VirtualSetup, run_calibration
+from forearm_fem.questions.calibrate import VirtualSetup, run_calibration
 
 folder = Path(tempfile.mkdtemp())
 result = run_calibration(arm, folder, daq="virtual", virtual=VirtualSetup(truth, snr_db=50.0), figure=False)

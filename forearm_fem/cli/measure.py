@@ -37,7 +37,7 @@ from .common import (
 )
 
 if TYPE_CHECKING:
-    from ..measurement.run import CalibrationResult, VirtualSetup
+    from ..questions.calibrate import CalibrationResult, VirtualSetup
 
 
 # calibrate, play, loopback, compare, fit: measured G and simulated G beside each other.
@@ -127,7 +127,7 @@ def _calibrated(
     card: str | None, cable: Path | None, *, ask: bool,
 ) -> CalibrationResult:  # fmt: skip
     from ..measurement.playback import read_loopback
-    from ..measurement.run import run_calibration
+    from ..questions.calibrate import run_calibration
 
     kept = None if cable is None else read_loopback(cable)
 
@@ -161,9 +161,9 @@ def _virtual(
     asked: Scenario, file: Path, through: Path | None, declare: list[str] | None, snr: float, bits: int, latency: int,
     seed: int, overrides: Overrides,
 ) -> VirtualSetup:  # fmt: skip
-    from ..measurement.run import VirtualSetup
+    from ..questions.calibrate import VirtualSetup
     from ..questions.run import run_solve
-    from ..store.results import read_transfer
+    from ..results.files import read_transfer
 
     g = measured_g(through, asked, declare, "--through")
     if g is None:
@@ -201,7 +201,7 @@ def play(
     card: Card = None,
 ) -> None:
     """Send drive signals, faded and within the voltage limit; Ctrl-C ramps down, twice cuts."""
-    from ..measurement.run import run_play
+    from ..questions.calibrate import run_play
 
     _refuse_idle(daq, card, through, declare, snr=snr)
     asked = load_scenario(scenario, overrides=overrides or ())
@@ -227,7 +227,7 @@ def loopback(
 ) -> None:
     """Measure a device's latency and gain: a cable from its first output to the sensor's input."""
     from ..measurement.playback import write_loopback
-    from ..measurement.run import run_loopback
+    from ..questions.calibrate import run_loopback
 
     _refuse_idle(daq, card)
     found = run_loopback(load_scenario(scenario, overrides=overrides or ()), daq=daq, card=card)

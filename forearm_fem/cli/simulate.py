@@ -77,7 +77,7 @@ def run(
 def _until(asked: Scenario, scenario: Path, last: Until, out: Path | None, overrides: Overrides) -> None:
     """Stop after the mesh or the solution, and print what that gave."""
     from ..questions.run import run_mesh, run_solve
-    from ..results import read_run
+    from ..results.run import read_run
 
     if last == "mesh":
         with stage(asked, scenario, out, run_mesh, overrides) as job:

@@ -12,7 +12,7 @@ from ..fem.assembly.model import ForearmModel, build_model
 from ..fem.kernels.compiled import give_back
 from ..fem.linear import pardiso
 from ..fem.reduction.compile_ahead import finish_compiling
-from ..fem.reduction.expansion import Snapshots, starts_from_rate
+from ..fem.reduction.expansion import starts_from_rate
 from ..fem.reduction.sweep import SweepResult, direct_sweep, reduced_sweep
 from ..geometry.device.place import place_ports
 from ..geometry.mesh.tissue_mesh import TissueMesh
@@ -21,6 +21,7 @@ from ..progress import Progress, tell
 from ..scenario import Scenario
 from ..scenario.elements import Supports
 from ..scenario.sweep import ReducedSolve
+from ..store.shelf import Shelf
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, refuse_non_finite
 from ..typing import ComplexArray, FloatArray
@@ -49,12 +50,12 @@ def solve_fem(
     frequency: FloatArray,
     *,
     progress: Progress | None = None,
-    snapshots: Snapshots | None = None,
+    kept: Shelf | None = None,
     tolerance: float | None = REDUCTION,
 ) -> FemSolution:
     """Compliance of all ports of ``scenario`` on ``mesh`` at ``frequency`` (n,) [Hz].
 
-    ``tolerance`` is e(f) asked of the reduced model, None for an uncertified one; ``snapshots`` keep its expansions.
+    ``tolerance`` is e(f) asked of the reduced model, None for an uncertified one; its expansions are ``kept``.
     """
     tell(progress, "assembly", 0, 1)
     model = fem_model(scenario, mesh)
@@ -65,7 +66,7 @@ def solve_fem(
     finish_compiling(progress, complex_ones=not (seldom and pardiso.mkl_library() is not None))
     give_back()  # element matrices and matrices before constraints are gone: more than the operator itself
     if small is not None:
-        result = reduced_sweep(model, frequency, small, tolerance=tolerance, progress=progress, snapshots=snapshots)
+        result = reduced_sweep(model, frequency, small, tolerance=tolerance, progress=progress, kept=kept)
     else:
         result = direct_sweep(model, frequency, solver, progress=progress)
     compliance = Compliance(frequency, masked(result.values, model.ports), model.ports, _errors(result))

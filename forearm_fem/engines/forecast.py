@@ -25,7 +25,7 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..geometry.user.checks import turned_over
 from ..ports import Port
 from ..progress import Progress
-from ..results import StageCost
+from ..results.run import StageCost
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..scenario.sweep import ReducedSolve, frequencies

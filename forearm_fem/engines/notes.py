@@ -10,7 +10,7 @@ import numpy as np
 from ..device import close_loop
 from ..errors import DataError, ForearmError, ScenarioError
 from ..rendering import Record, bridged, place
-from ..results import SolutionRecord
+from ..results.run import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.actuators import ACTUATORS
 from ..scenario.limb import MeshLimb, SlabLimb, SurfacesLimb

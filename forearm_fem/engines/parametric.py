@@ -357,7 +357,7 @@ def parametric_model(
     around = grid_places(own, mesh)
     read = readings(model, around[1] if around else ())
     with freed_memory_kept():
-        united = united_model(model, found, band, own.solver, growth, progress, parts, read)
+        united = united_model(model, found, band, own.solver, growth, parts, progress, read)
     made = ParametricModel(
         own, model.ports, united.pieces, united.trials, united.checks, united.solves, around[0] if around else None
     )

@@ -18,7 +18,7 @@ from ..geometry.mesh.quality import Resolution
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..progress import Progress
 from ..rendering import Rendering
-from ..rendering.interval import StrengthAccount
+from ..rendering.interval import Strength
 from ..rendering.job import RenderJob, render_transfer
 from ..scenario import Scenario
 from ..scenario.sweep import frequencies
@@ -69,7 +69,7 @@ class Simulation:
         return render(self)
 
     @property
-    def strength(self) -> StrengthAccount:
+    def strength(self) -> Strength:
         """S with its interval."""
         return self.rendering.strength
 
@@ -181,6 +181,6 @@ def render(simulation: Simulation, *, progress: Progress | None = None) -> Rende
 
 def account_of(
     scenario: Scenario, transfer: TransferMatrix, rendering: Rendering, *, base: str | Path = "."
-) -> StrengthAccount:
+) -> Strength:
     """Intervals and companions of every S of ``rendering``, which :func:`render_transfer` made of ``transfer``."""
     return RenderJob.of(scenario, transfer, base=base).account(transfer, rendering)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from scipy.sparse import csr_array, eye_array, kron, vstack
@@ -18,14 +18,12 @@ from ..fem.assembly.boundary import edge_middles
 from ..fem.kernels.compiled import freed_memory_kept
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.compile_ahead import start_compiling
-from ..fem.reduction.expansion import Expansion
-from ..fem.reduction.rate_space import Chunk, Pairs
 from ..geometry.cache import cached_mesh
 from ..geometry.device.place import place_ports
 from ..geometry.mesh.quality import Resolution
 from ..geometry.mesh.tissue_mesh import TissueMesh, skin_edges
 from ..progress import Progress, tell, within
-from ..results import SolutionRecord
+from ..results.run import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.limb import SlabLimb
 from ..scenario.shipped import contents, law_files
@@ -105,7 +103,7 @@ def solve(
     store = _Store(solve_key(scenario, mesh, frequency))
     if (main := store.main()) is None:
         tolerance = reduction_tolerance(scenario)
-        solution = solve_fem(scenario, mesh, frequency, progress=progress, snapshots=store, tolerance=tolerance)
+        solution = solve_fem(scenario, mesh, frequency, progress=progress, kept=store.parts, tolerance=tolerance)
         main = _packed(scenario, solution, frequency)
         store.keep_main(main)
     # what freed ends do not show: pressure hardly feels dashpots of shear, so that a slab's ends are as good as free
@@ -196,9 +194,6 @@ def field_modes(solution: FemSolution) -> FloatArray:
     return reduced.basis.seen_by(csr_array(shown)).reshape(-1, 3, reduced.size)
 
 
-_CHUNK = ("last", "derivatives", "residual", "correction")
-
-
 @dataclass(frozen=True, eq=False)
 class _Kept:
     """The main part of a :class:`Solved`, on its shelf."""
@@ -225,34 +220,7 @@ class _Store:
 
     def __init__(self, key: str) -> None:
         home = default_cache_dir() / "solves"
-        self._shelf, self._parts = Shelf(home / f"{key}.sqlite"), Shelf(home / f"{key}-parts.sqlite", "an expansion")
-
-    def get(self, frequency: float) -> Expansion | None:
-        """An expansion of an interrupted sweep; see :class:`forearm_fem.fem.reduction.sweep.Snapshots`."""
-        if (data := self._parts.get(f"{frequency:g}")) is None:
-            return None
-        series = tuple(data[f"order{k}"] for k in range(data["count"]))
-        return Expansion(frequency, series, data["residual"], data["solve_error"])
-
-    def put(self, expansion: Expansion) -> None:
-        """Keep an expansion until the sweep is finished."""
-        parts: dict[str, Any] = {f"order{k}": x for k, x in enumerate(expansion.series)}
-        parts["count"] = len(expansion.series)
-        parts |= {"residual": float(expansion.residual), "solve_error": float(expansion.solve_error)}
-        self._parts.put(f"{expansion.frequency:g}", parts)
-
-    def chunks(self) -> tuple[Chunk, ...]:
-        """What an interrupted sweep left of the space about a rate, up to the first part that is missing or damaged."""
-        found = list[Chunk]()
-        while (data := self._parts.get(f"rate-{len(found)}")) is not None:
-            pairs = Pairs(data["upper"], data["lower"])
-            found.append(Chunk(data["columns"], pairs, *(data[name] for name in _CHUNK)))
-        return tuple(found)
-
-    def put_chunk(self, number: int, chunk: Chunk) -> None:
-        """Keep a part of the space about a rate until the sweep is finished."""
-        parts = {"columns": chunk.columns, "upper": chunk.pairs.upper, "lower": chunk.pairs.lower}
-        self._parts.put(f"rate-{number}", {**parts, **{name: getattr(chunk, name) for name in _CHUNK}})
+        self._shelf, self.parts = Shelf(home / f"{key}.sqlite"), Shelf(home / f"{key}-parts.sqlite", "an expansion")
 
     def compliance(self, name: str, make: Callable[[], Compliance]) -> Compliance:
         """The compliance kept under a name, or a new one, kept."""
@@ -270,4 +238,4 @@ class _Store:
         skin = None if solved.skin is None else ReducedFile.of(solved.skin)
         kept = _Kept(solved.compliance, solved.freed, solved.modes, solved.states, solved.facts, skin)
         if self._shelf.keep("main", kept):
-            self._parts.remove()
+            self.parts.remove()

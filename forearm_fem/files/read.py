@@ -13,9 +13,9 @@ import h5py
 from scipy.io import whosmat
 
 from ..errors import DataError
+from ..results.files import read_transfer, write_transfer
 from ..scenario import Scenario
 from ..store.record import said_content
-from ..store.results import read_transfer, write_transfer
 from ..transfer import TransferMatrix
 from ..usercode import named
 from .arrays import Hdf5Reader, MatReader, NpyReader, NpzReader

@@ -24,7 +24,7 @@ from .. import __version__
 from ..accuracy.estimates import short_verdict
 from ..errors import ForearmError, ScenarioError, first_problem
 from ..progress import Progress, tell
-from ..results import read_run
+from ..results.run import read_run
 from ..scenario import Scenario, load_scenario, scenario_beside
 from ..scenario.base import Name, Part
 from ..scenario.changes import dotted

@@ -32,11 +32,21 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import positions
 from ..progress import Progress, tell, within
 from ..rendering import Rendering
-from ..rendering.interval import StrengthAccount, finer_than_known
+from ..rendering.interval import Strength, finer_than_known
 from ..rendering.job import RenderJob, check_servable, wavelet
 from ..rendering.lattice import is_thesis_grid
 from ..rendering.limits import counted_points
-from ..results import (
+from ..results.files import (
+    read_transfer,
+    refuse_other_g,
+    stack,
+    strength_rows,
+    write_displacements,
+    write_drives,
+    write_signal_strength_csv,
+    write_transfer,
+)
+from ..results.run import (
     ErrorRecord,
     MeshRecord,
     QualityRecord,
@@ -49,23 +59,13 @@ from ..results import (
     read_run,
     write_run,
 )
+from ..results.wavefield import Wavefield, save_wavefield
 from ..scenario import Scenario
 from ..scenario.rendering import SampledWavelet
 from ..scenario.sweep import Band
 from ..store.folder import atomic_path, check_kind, set_kind
-from ..store.results import (
-    read_transfer,
-    refuse_other_g,
-    stack,
-    strength_rows,
-    write_displacements,
-    write_drives,
-    write_signal_strength_csv,
-    write_transfer,
-)
 from ..store.text import read_json, write_json
 from ..transfer import TransferMatrix
-from ..wavefield import Wavefield, save_wavefield
 
 __all__ = ["Run", "check_rendering", "run_all", "run_given", "run_mesh", "run_render", "run_solve"]
 
@@ -104,7 +104,7 @@ class Run:
     mesh: MeshRecord = field(default_factory=MeshRecord)
     solution: SolutionRecord = field(default_factory=SolutionRecord)
     rendering: Rendering | None = None
-    account: StrengthAccount | None = None
+    account: Strength | None = None
     record: RunRecord | None = None
     known: dict[str, Any] = field(default_factory=dict)
     asked: str = ""  # the scenario as a command names it, with what it sets

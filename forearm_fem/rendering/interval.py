@@ -52,7 +52,7 @@ class StrengthEntry:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StrengthAccount:
+class Strength:
     """Arrays (n_method, n_target) [-]: S ``value``, its interval ``low`` to ``high`` (NaN where unknown), S over the
     whole ``record``, the change of S with tapered band ``edges``, what ``holes`` of G and missing ends of its band may
     have cost (0 without any, NaN where that cannot be told).
@@ -98,12 +98,7 @@ class StrengthAccount:
 
     def save(self, path: str | Path) -> None:
         """Write ``signal_strength.csv``, as a run does."""
-        from ..store.results import strength_rows, write_signal_strength_csv
-
-        rows = strength_rows(
-            self.methods, self.targets, self.value, (self.low, self.high), self.record, self.window, grouped=False
-        )
-        write_signal_strength_csv(path, rows)
+        notebook.save_s(self, path)
 
     def as_json(self) -> dict[str, Any]:
         """By method and target, in plain numbers; None where unknown."""
@@ -115,7 +110,7 @@ class StrengthAccount:
         return {"window": self.window, "unknown": self.unknown, "methods": table, "zeros": self.zeros}
 
 
-def finer_than_known(account: StrengthAccount, errors: Sequence[ErrorEstimate]) -> str:
+def finer_than_known(account: Strength, errors: Sequence[ErrorEstimate]) -> str:
     """A sentence where some S holds the other points more still than G is known by its ``errors``, else empty.
 
     1/S is their mean motion over the target's: drives that were made on this G cannot keep it on one that differs by
@@ -134,9 +129,9 @@ def finer_than_known(account: StrengthAccount, errors: Sequence[ErrorEstimate]) 
     )
 
 
-def strength_account(
+def strength_of(
     rendering: Rendering, methods: Sequence[Renderer], wavelet: Wavelet, measured: bool = False
-) -> StrengthAccount:
+) -> Strength:
     """Account of the S of ``rendering`` by ``methods`` (its renderers) with ``wavelet``.
 
     The interval is for the errors stated for G and its ``deviation``, bridged holes included; that the systematic
@@ -169,7 +164,7 @@ def strength_account(
     tapered = wavelet.tapered(float(g.frequency[0]), float(g.frequency[-1]))
     moved = [[rendering[m, t].displacements for t in rendering.targets] for m in rendering.methods]
     record = np.array([[plain_strength(u.values, u.target_index) for u in row] for row in moved])
-    return StrengthAccount(
+    return Strength(
         rendering.methods, rendering.targets, rendering.window, value,
         value * np.exp(-spread) - cost, value * np.exp(spread) + cost, record,
         strength(g, tapered) - value, cost,

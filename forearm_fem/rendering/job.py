@@ -28,7 +28,7 @@ from .bridging import bridged
 from .combination import Combination
 from .drives import Renderer, displacements, drives
 from .funneling import Funneling, funneling_weights
-from .interval import StrengthAccount, strength_account
+from .interval import Strength, strength_of
 from .inverse_filter import LEAST_ERROR, InverseFilter
 from .inversion import Regularisation
 from .lattice import lattice_of
@@ -110,10 +110,10 @@ class RenderJob:
             progress=progress,
         )  # fmt: skip
 
-    def account(self, transfer: TransferMatrix, rendering: Rendering) -> StrengthAccount:
+    def account(self, transfer: TransferMatrix, rendering: Rendering) -> Strength:
         """S of ``rendering``, which :meth:`play` made of ``transfer``, with its interval."""
         measured = any(e.source == "measurement" for e in transfer.errors) or transfer.deviation is not None
-        return strength_account(rendering, self.methods, self.wavelet, measured)
+        return strength_of(rendering, self.methods, self.wavelet, measured)
 
     def strengths(
         self, design_on: TransferMatrix, *play_on: TransferMatrix, windows: Sequence[Window] = ()

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import FigureBase
 
-    from .interval import StrengthAccount
+    from .interval import Strength
 
 _MUCH_LOST = 0.1
 
@@ -70,15 +70,15 @@ class Rendering(Mapping[tuple[str, str], Rendered]):
         return self.strength._repr_html_()
 
     @cached_property
-    def strength(self) -> StrengthAccount:
+    def strength(self) -> Strength:
         """S with its interval; DataError for drives that were played on another G than they were designed on."""
-        from .interval import strength_account
+        from .interval import strength_of
 
         if self.wavelet is None:
             raise DataError("drives were played on another G than their own, so there is no interval of S")
         g = self.bridged.transfer
         measured = any(e.source == "measurement" for e in g.errors) or g.deviation is not None
-        return strength_account(self, self.renderers, self.wavelet, measured)
+        return strength_of(self, self.renderers, self.wavelet, measured)
 
     def sel(self, method: str, target: str) -> Rendered:
         """Drives and displacements of a method at a target; DataError for other names."""

@@ -17,10 +17,7 @@ from ..geometry.mesh.tissue_mesh import TissueMesh, with_finer_skin
 from ..ports import Port
 from ..rendering import Record, Wavelet, from_samples_file, ricker
 from ..rendering.limits import counted_points
-from ..results import RunRecord, read_run
-from ..scenario import Scenario, parse_scenario
-from ..scenario.rendering import SampledWavelet
-from ..store.results import (
+from ..results.files import (
     Signals,
     StrengthRow,
     read_compliance,
@@ -29,10 +26,13 @@ from ..store.results import (
     read_signal_strength_csv,
     read_transfer,
 )
+from ..results.run import RunRecord, read_run
+from ..results.wavefield import Wavefield, load_wavefield
+from ..scenario import Scenario, parse_scenario
+from ..scenario.rendering import SampledWavelet
 from ..store.text import read_json
 from ..transfer import Compliance, TransferMatrix
 from ..typing import BoolArray
-from ..wavefield import Wavefield, load_wavefield
 
 T = TypeVar("T")
 
@@ -97,7 +97,7 @@ class Results:
     def remedy(self, name: str) -> str:
         """Half a sentence: the command that makes the file ``name``."""
         if name == "measured.nc":
-            return "keep a measured G there (forearm_fem.store.results.write_transfer) to compare with"
+            return "keep a measured G there (forearm_fem.results.files.write_transfer) to compare with"
         return f"`forearm-fem {STAGES.get(name, 'run')} SCENARIO --out {self.folder}` makes it"
 
     @cached_property

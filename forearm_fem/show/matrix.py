@@ -12,8 +12,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import FigureBase
 
 from ..metrics import condition_number, singular_values
+from ..metrics.common_ground import CommonGround, common_ground
 from ..ports import distances
-from ..questions.compare.common import CommonGround, common_ground
 from ..rendering import AutoZeros, Placed
 from ..rendering.drives import Aim
 from ..rendering.spectrum import BinValues, Record
@@ -186,7 +186,7 @@ def versus(results: Results) -> Versus:
 
 
 def versus_of(a: TransferMatrix, b: TransferMatrix, names: tuple[str, str] = ("A", "B")) -> Versus:
-    """Any two transfer matrices; raises as :func:`forearm_fem.questions.compare.common.common_ground`."""
+    """Any two transfer matrices; raises as :func:`forearm_fem.metrics.common_ground.common_ground`."""
     return Versus(names, common_ground(a, b))
 
 

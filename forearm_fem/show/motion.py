@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from ..errors import DataError
+from ..results.wavefield import Wavefield
 from ..typing import ComplexArray, FloatArray
-from ..wavefield import Wavefield
 from .data import Results
 from .targets import drive_series
 

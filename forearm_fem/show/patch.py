@@ -12,8 +12,8 @@ from matplotlib.tri import Triangulation
 from ..errors import DataError
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port, positions
+from ..results.wavefield import Wavefield
 from ..typing import ComplexArray, FloatArray, IntArray
-from ..wavefield import Wavefield
 
 _STEEPEST = 0.35  # least n_z of a facet that still counts as volar
 

@@ -15,9 +15,9 @@ from scipy.interpolate import griddata
 from ..errors import DataError, NotApplicable
 from ..ports import Port, positions
 from ..rendering import to_spectrum
-from ..store.results import Signals
+from ..results.files import Signals
+from ..results.wavefield import Wavefield
 from ..typing import ComplexArray, FloatArray
-from ..wavefield import Wavefield
 from .data import Results, record_of
 from .device import busy
 from .page import Table, stacked_rows

@@ -11,13 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from scipy.special import hankel2
 
-from ..engines.layered import flat_surface
+from ..engines.layered import flat_layers, flat_surface
 from ..errors import NotApplicable, ScenarioError
+from ..geometry.device.layout import layers_of
 from ..layered import surface_kernel
 from ..metrics import WaveFit, fit_waves
 from ..metrics.waves import beside
 from ..ports import Port, distances, positions
-from ..questions.compare.parameters import layers_from
 from ..rendering import Drives, InverseFilter, Wavelet, displacements, drives, place
 from ..rendering.drives import Aim
 from ..rendering.funneling import known_bins
@@ -249,8 +249,10 @@ def dispersion(results: Results) -> Dispersion:
 def kernel_root(scenario: Scenario, frequency: FloatArray) -> ComplexArray | None:
     """The Rayleigh-like root of the scenario's layers with the membrane on them; None for a limb without layers, and
     under a patch, which has edges."""
+    if not layers_of(scenario.limb):
+        return None
     try:
-        layers, sheet = layers_from(scenario), flat_surface(scenario.tissues)
+        layers, sheet = flat_layers(scenario), flat_surface(scenario.tissues)
     except ScenarioError:
         return None
     return trace_root(lambda k, w: surface_kernel(k, w, layers, surface=sheet), layers, 2 * np.pi * frequency)

@@ -16,9 +16,9 @@ from ..files.declaration import Declaration
 from ..geometry.device.layout import planform_ports
 from ..measurement.daq import Daq
 from ..measurement.playback import Loopback, check_belongs
-from ..measurement.run import DaqKind, hardware, wired
 from ..measurement.virtual import VirtualDaq, VirtualOptions
 from ..ports import Port
+from ..questions.calibrate import DaqKind, hardware, wired
 from ..rendering.job import wavelet
 from ..rendering.wavelet import Wavelet
 from ..scenario import Scenario, load_scenario, scenario_beside

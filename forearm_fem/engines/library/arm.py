@@ -19,7 +19,7 @@ from ...layered.discs import Disc
 from ...layered.response import LayeredResult
 from ...layered.tables import Tabulated
 from ...ports import Port, positions
-from ...results import SolutionRecord
+from ...results.run import SolutionRecord
 from ...scenario import Scenario
 from ...scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
 from ...scenario.sweep import frequencies

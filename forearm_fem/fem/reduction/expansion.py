@@ -5,13 +5,14 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
 from ...errors import SolverError
 from ...progress import Progress, tell
 from ...scenario.sweep import ReducedSolve
+from ...store.shelf import Shelf
 from ...typing import ComplexArray, FloatArray
 from ..assembly.coefficients import is_polynomial
 from ..assembly.model import ForearmModel
@@ -30,7 +31,7 @@ from .certificate import (
     sharp_modes,
 )
 from .poles import pole_residue
-from .rate_space import Chunk, RateSpace
+from .rate_space import Chunk, Pairs, RateSpace
 from .reduced_model import ReducedModel, compressible, empty_model, extend, with_last_columns
 
 _log = logging.getLogger("forearm_fem.fem")
@@ -56,24 +57,43 @@ class Expansion:
     solve_error: float
 
 
-class Snapshots(Protocol):
-    """Where expansions are kept between runs, so that an interrupted sweep loses none that was finished."""
+_CHUNK = ("last", "derivatives", "residual", "correction")
+
+
+@dataclass(frozen=True)
+class Snapshots:
+    """Expansions and chunks of an interrupted sweep on a shelf, none of which is made twice; without a shelf none."""
+
+    shelf: Shelf | None = None
 
     def get(self, frequency: float) -> Expansion | None:
-        """What was stored for a frequency, or None."""
-        ...
+        """The expansion kept for a frequency, or None."""
+        if self.shelf is None or (data := self.shelf.get(f"{frequency:g}")) is None:
+            return None
+        series = tuple(data[f"order{k}"] for k in range(data["count"]))
+        return Expansion(frequency, series, data["residual"], data["solve_error"])
 
     def put(self, expansion: Expansion) -> None:
-        """Store an expansion for good."""
-        ...
+        """Keep an expansion."""
+        parts: dict[str, Any] = {f"order{k}": x for k, x in enumerate(expansion.series)}
+        parts["count"] = len(expansion.series)
+        parts |= {"residual": float(expansion.residual), "solve_error": float(expansion.solve_error)}
+        if self.shelf is not None:
+            self.shelf.put(f"{expansion.frequency:g}", parts)
 
     def chunks(self) -> tuple[Chunk, ...]:
-        """What was stored of the space about a rate, in order."""
-        ...
+        """The space about a rate, in order, up to the first part that is missing or damaged."""
+        found = list[Chunk]()
+        while self.shelf is not None and (data := self.shelf.get(f"rate-{len(found)}")) is not None:
+            pairs = Pairs(data["upper"], data["lower"])
+            found.append(Chunk(data["columns"], pairs, *(data[name] for name in _CHUNK)))
+        return tuple(found)
 
     def put_chunk(self, number: int, chunk: Chunk) -> None:
-        """Store a chunk, the ``number``-th from 0, for good."""
-        ...
+        """Keep a chunk, the ``number``-th from 0."""
+        parts = {"columns": chunk.columns, "upper": chunk.pairs.upper, "lower": chunk.pairs.lower}
+        if self.shelf is not None:
+            self.shelf.put(f"rate-{number}", {**parts, **{name: getattr(chunk, name) for name in _CHUNK}})
 
 
 @dataclass(frozen=True)
@@ -107,7 +127,7 @@ class Made:
 class Expander:
     """Makes expansions, or takes them from the store; factorises only when it must."""
 
-    def __init__(self, model: ForearmModel, options: ReducedSolve, store: Snapshots | None, residual: float) -> None:
+    def __init__(self, model: ForearmModel, options: ReducedSolve, store: Snapshots, residual: float) -> None:
         self.model, self._options, self._store, self._residual = model, options, store, residual
         self.orders = np.full(len(model.ports), min(options.point_derivatives, options.derivatives))
         self.orders[watched(model)[1]] = options.derivatives  # more of the watched forces' solutions than the others'
@@ -117,7 +137,7 @@ class Expander:
     def direct(self, frequency: float) -> Expansion:
         """Direct solutions without derivatives, taken from a stored expansion where there is one."""
         self._space = None
-        if self._store is not None and (stored := self._store.get(frequency)) is not None:
+        if (stored := self._store.get(frequency)) is not None:
             return stored
         self.model.operator.forget_products()  # complex factors need the room first; made again in a second or two
         solution = self._ready(frequency).at(frequency)
@@ -144,7 +164,7 @@ class Expander:
         cannot. The first columns of the space are solutions that are known: what rounding does is seen on them.
         """
         first = made.reduced.basis.blocks[0][:, : len(self.model.ports)]
-        if at.wary or tolerance < ROUNDED or (self._store is not None and self._store.get(at.frequency) is not None):
+        if at.wary or tolerance < ROUNDED or self._store.get(at.frequency) is not None:
             return None
         self._space = None
         chosen = np.linspace(0, first.shape[1] - 1, min(_KNOWN, first.shape[1])).astype(int)
@@ -163,8 +183,7 @@ class Expander:
         solver = self._ready(frequency)
         series = solver.taylor(frequency, start.series[0], self.orders)
         result = Expansion(frequency, tuple(series), start.residual, start.solve_error)
-        if self._store is not None:
-            self._store.put(result)
+        self._store.put(result)
         return result
 
     def extended(self, made: Made, frequency: float, start: Expansion | None = None) -> Made:
@@ -190,7 +209,7 @@ class Expander:
         :meth:`_about_rate_with_care`.
         """
         most, rate = self._options.rate_derivatives, expansion_rate(frequency)
-        stored = self._store.chunks() if self._store is not None else ()
+        stored = self._store.chunks()
         tell(progress, "ordering", 0, 1)
         solver = self._ready(float(frequency[-1]))
         tell(progress, "ordering", 1, 1)
@@ -199,7 +218,7 @@ class Expander:
         reduced, derivatives = empty_model(self.model), 0
         for number in range(-(-most // _AT_ONCE)):
             chunk = stored[number] if number < len(stored) else space.more(min(_AT_ONCE, most - derivatives))
-            if self._store is not None and number >= len(stored):
+            if number >= len(stored):
                 self._store.put_chunk(number, chunk)
             if not chunk.columns.shape[1]:
                 break

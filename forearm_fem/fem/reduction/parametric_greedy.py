@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
-from typing import Any, Protocol
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from ...progress import Progress, tell
 from ...scenario.sweep import SolverOptions
+from ...store.shelf import Shelf
 from ...transfer import relative_error
 from ...typing import BoolArray, ComplexArray, FloatArray
 from ..assembly.coefficients import Coefficient, Polynomial, is_polynomial
@@ -29,18 +29,6 @@ Place = tuple[int, float]  # a draw's number and a frequency [Hz]
 _POINTS = 0.1  # what a point's state counts beside a contact's: errors of G are products of the two
 _DROP = 1e-2  # of a solution's length: the error of C is the product of two of these
 _SPACE = "space"
-
-
-class PartStore(Protocol):
-    """Where finished parts are kept by name, so that an interrupted call loses at most the one under way."""
-
-    def get(self, name: str, /) -> Mapping[str, Any] | None:
-        """The arrays of a part, or None where it is missing or damaged."""
-        ...
-
-    def put(self, name: str, parts: Mapping[str, Any], /) -> object:
-        """Keep the arrays of a part."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -67,7 +55,7 @@ class Growing:
         draws: Sequence[Coefficients],
         options: SolverOptions,
         highest: float,
-        kept: PartStore,
+        kept: Shelf,
         readings: csr_array | None = None,
     ) -> None:
         self._model, self._draws, self._options, self._highest = model, draws, options, highest
@@ -319,24 +307,14 @@ class Growth:
     seed: int = 1
 
 
-class NothingKept:
-    """For a model that is made in one go."""
-
-    def get(self, name: str) -> Mapping[str, Any] | None:
-        """See :class:`.growing.PartStore`."""
-
-    def put(self, name: str, parts: Mapping[str, Any]) -> None:
-        """See :class:`.growing.PartStore`."""
-
-
 def united_model(
     model: ForearmModel,
     draws: Sequence[Coefficients],
     frequency: FloatArray,
     options: SolverOptions,
     growth: Growth,
+    kept: Shelf,
     progress: Progress | None = None,
-    kept: PartStore | None = None,
     readings: csr_array | None = None,
 ) -> United:
     """A space for the model's own coefficients and those of the ``draws``, in the band of ``frequency`` (n,) [Hz].
@@ -345,7 +323,6 @@ def united_model(
     interrupted call of the same arguments is not made again. ``readings`` (k, n_u) of places that are no ports are
     worked out for each piece's models.
     """
-    kept = kept or NothingKept()
     work = Growing(model, draws, options, float(frequency[-1]), kept, readings)
     work.restored()
     parts = cut(frequency, growth.parts)
@@ -398,7 +375,7 @@ def _grow(work: Growing, step: int, frequency: FloatArray, growth: Growth) -> No
     work.extended_where_worst(places, min(most, growth.of_contacts), min(most, growth.of_points), early=early)
 
 
-def _made_piece(work: Growing, kept: PartStore, number: int, part: FloatArray, draws: int, growth: Growth) -> Piece:
+def _made_piece(work: Growing, kept: Shelf, number: int, part: FloatArray, draws: int, growth: Growth) -> Piece:
     """The models of a ``part`` (n,) [Hz] of the band, of as few directions as serve some of the states, which had no
     part in them."""
     rng = np.random.default_rng([growth.seed, 1, number])
@@ -420,7 +397,7 @@ def _made_piece(work: Growing, kept: PartStore, number: int, part: FloatArray, d
     return piece
 
 
-def _read_piece(kept: PartStore, model: ForearmModel, number: int) -> Piece | None:
+def _read_piece(kept: Shelf, model: ForearmModel, number: int) -> Piece | None:
     found = kept.get(f"piece-{number}")
     if found is None:
         return None
@@ -430,7 +407,7 @@ def _read_piece(kept: PartStore, model: ForearmModel, number: int) -> Piece | No
 
 
 def _made_check(
-    work: Growing, kept: PartStore, number: int, place: Place, piece: Piece, draws: Sequence[Coefficients]
+    work: Growing, kept: Shelf, number: int, place: Place, piece: Piece, draws: Sequence[Coefficients]
 ) -> TrialSolve:
     """What a finished ``piece`` says at a place, against a direct solution."""
     whole, core = piece.change(draws[place[0]], place[1])
@@ -439,7 +416,7 @@ def _made_check(
     return check
 
 
-def _read_check(kept: PartStore, number: int) -> TrialSolve | None:
+def _read_check(kept: Shelf, number: int) -> TrialSolve | None:
     found = kept.get(f"check-{number}")
     if found is None:
         return None

@@ -10,6 +10,7 @@ import numpy as np
 from ...errors import SolverError
 from ...progress import Progress, tell
 from ...scenario.sweep import ReducedSolve, SolverOptions
+from ...store.shelf import Shelf
 from ...typing import ComplexArray, FloatArray
 from ..assembly.model import ForearmModel
 from ..linear.direct import ENOUGH, make_solver
@@ -101,7 +102,7 @@ def reduced_sweep(
     *,
     tolerance: float | None = 1e-4,
     progress: Progress | None = None,
-    snapshots: Snapshots | None = None,
+    kept: Shelf | None = None,
 ) -> SweepResult:
     """Sweep by a reduced model that is certified between the places it was made from.
 
@@ -112,11 +113,11 @@ def reduced_sweep(
     certificates say what was reached). Solves are refined to a thousandth of ``tolerance``, to 1e-7 at least. Where
     resonances are sharp the model is made in double precision, and a bound at every bin (:mod:`.bounds`) must pass as
     well. With ``tolerance`` None nothing is certified and no factorisation is spent on it. Raises SolverError where
-    the stated error is above 0.5.
+    the stated error is above 0.5. What is ``kept`` of an interrupted sweep is not made again.
     """
     _refuse_lossless(model, frequency)
     residual = ENOUGH if tolerance is None else min(ENOUGH, _SHARE * tolerance)
-    work = Expander(model, options, snapshots, residual)
+    work = Expander(model, options, Snapshots(kept), residual)
     try:
         made = work.about_rate(frequency, tolerance, progress) if starts_from_rate(model, options) else None
         if made is None:

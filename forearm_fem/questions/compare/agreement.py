@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from ...metrics.common_ground import CommonGround
 from ...typing import ComplexArray, FloatArray
-from .common import CommonGround
 from .readings import explained
 
 # Numbers that say how alike two transfer matrices are, per entry, per frequency and overall.

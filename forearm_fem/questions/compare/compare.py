@@ -13,6 +13,7 @@ import numpy as np
 from ...errors import AccuracyWarning
 from ...files.declaration import arbitrary_gain
 from ...metrics import WaveFit, condition_number, condition_summary, fit_waves
+from ...metrics.common_ground import CommonGround, common_ground
 from ...metrics.waves import beside, phase_told
 from ...ports import distances
 from ...progress import Progress, tell
@@ -20,7 +21,6 @@ from ...store.text import plain
 from ...transfer import TransferMatrix
 from ...typing import ComplexArray, FloatArray
 from .agreement import Agreement, Where, agreement, where
-from .common import CommonGround, common_ground
 from .crossplay import CrossPlay, try_cross_play
 
 _TOGETHER = 0.5e-3  # m: points as far from the source as this count as one distance

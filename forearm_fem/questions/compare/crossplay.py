@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...errors import AccuracyWarning, ForearmError
+from ...metrics.common_ground import CommonGround
 from ...rendering import Wavelet, bridged, thesis_renderers
 from ...rendering.job import RenderJob, wavelet, wavelet_for
 from ...scenario.rendering import SampledWavelet
 from ...transfer import TransferMatrix
 from ...typing import FloatArray
-from .common import CommonGround
 
 if TYPE_CHECKING:
     from ...scenario import Scenario

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,12 @@ from scipy.stats.qmc import LatinHypercube
 from ...accuracy.estimates import quadrature_estimate
 from ...device.loop import close_loop
 from ...engines.arm_meshes import ArmMeshes, arm_meshes
-from ...engines.layered import flat_disc, flat_layers, flat_surface
+from ...engines.engine import Engine
+from ...engines.layered import LayeredEngine, flat_disc, flat_layers, flat_surface
 from ...engines.parametric import ParametricModel, parametric_model
 from ...errors import ScenarioError
 from ...geometry.device.layout import layers_of
-from ...layered import Layer, layered_compliance
+from ...layered import layered_compliance
 from ...layered.response import scattered_orders
 from ...ports import Port
 from ...progress import Progress
@@ -105,28 +106,24 @@ _POOL = 120  # arms within the ranges of a fit, from which its finite elements a
 _REACH = 3.0  # times or divided by: a fit's ranges reach to 6, where measured tissue is not
 _BELOW = 0.999  # of a Zener law's mu_infinity, up to which its mu may go
 _TERMS, _FEWER = 4, 1  # under rigid cones, and orders fewer than the twin takes: 5e-5 of points for the thesis' device
-ComplianceOf = Callable[[Scenario], Compliance]
 
 
 class ScenarioModel:
     """Maps dotted scenario keys, e.g. ``tissues.override.skin.mu`` or ``device.coil.moving_mass``, to G.
 
-    ``compliance_of`` computes the skin (layered twin, reduced model, full FE); it is called only when a key outside
-    ``device`` changes, for the actuators are closed around it at no cost. The last ``memory`` skins are kept.
+    ``engine`` answers for the skin at ``frequency`` (n,) [Hz]; it is asked only when a key outside ``device`` changes,
+    for the actuators are closed around it at no cost. The last ``memory`` skins are kept.
     """
 
-    def __init__(self, scenario: Scenario, compliance_of: ComplianceOf, memory: int = 64) -> None:
+    def __init__(self, scenario: Scenario, engine: Engine, frequency: FloatArray, memory: int = 64) -> None:
         self._base = scenario.model_dump(mode="json", exclude_none=True)
-        self._compliance_of = compliance_of
+        self._engine, self._frequency = engine, frequency
         self._memory = memory
         self._known: dict[tuple[tuple[str, float], ...], Compliance] = {}
 
     def scenario(self, values: Mapping[str, float]) -> Scenario:
         """The scenario with ``values`` set; ScenarioError for an unknown key."""
-        result: Any = dict(self._base)
-        for key, value in values.items():
-            result = _put(result, key.split("."), value, key)
-        return parse_scenario(result, origin="fit")
+        return _with_values(self._base, values)
 
     def __call__(self, values: Mapping[str, float]) -> TransferMatrix:
         """G at ``values``."""
@@ -135,8 +132,15 @@ class ScenarioModel:
         if key not in self._known:
             if len(self._known) >= self._memory:
                 self._known.pop(next(iter(self._known)))
-            self._known[key] = self._compliance_of(scenario)
+            self._known[key] = self._engine.compliance(scenario, self._frequency)
         return close_loop(self._known[key], scenario.device)
+
+
+def _with_values(data: Mapping[str, Any], values: Mapping[str, float]) -> Scenario:
+    """The scenario of ``data`` with ``values`` set by their dotted keys."""
+    for key, value in values.items():
+        data = _put(data, key.split("."), value, key)
+    return parse_scenario(data, origin="fit")
 
 
 def _lumped(key: str) -> bool:
@@ -157,41 +161,41 @@ def _put(data: Any, path: list[str], value: float, key: str) -> Any:
     return {**data, path[0]: _put(data.get(path[0], {}), path[1:], value, key)}
 
 
-def layered_compliance_of(
-    frequency: FloatArray, outputs: tuple[Port, ...], inputs: tuple[Port, ...], *, tolerance: float = 1e-4
-) -> ComplianceOf:
-    """The layered twin at ``frequency`` (n,) [Hz] between the planform places of the measured ports.
+@dataclass(frozen=True)
+class TwinBetween:
+    """The layered twin between the planform places of measured ports, with the scenario's cones and membrane.
 
-    Flat and infinite, with the scenario's cones and membrane: a fit absorbs what that leaves out into its parameters.
-    The core below the layers is a half-space.
+    Flat and infinite: a fit absorbs what that leaves out into its parameters. The core is a half-space. Points do not
+    drive.
     """
 
-    def compute(scenario: Scenario) -> Compliance:
-        """The flat twin's columns of contacts; points do not drive."""
+    outputs: tuple[Port, ...]
+    inputs: tuple[Port, ...]
+    tolerance: float = 1e-4
+    name: str = "layered twin"
+
+    def holds(self, scenario: Scenario) -> str:
+        """See :class:`.Engine`: as the layered model."""
+        return LayeredEngine().holds(scenario)
+
+    def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
+        """See :class:`.Engine`; columns of contacts."""
         cone = scenario.device.cone
-        ports = (*(Port(p.name, "contact", p.position, p.axis, cone.radius, cone.contact) for p in inputs), *outputs)
+        contacts = tuple(Port(p.name, "contact", p.position, p.axis, cone.radius, cone.contact) for p in self.inputs)
+        ports = (*contacts, *self.outputs)
         discs = [flat_disc(port) for port in ports]
         result = layered_compliance(
-            layers_from(scenario), 2 * np.pi * frequency, discs[: len(inputs)], discs,
-            surface=flat_surface(scenario.tissues), tolerance=tolerance, terms=_TERMS,
+            flat_layers(scenario), 2 * np.pi * frequency, discs[: len(contacts)], discs,
+            surface=flat_surface(scenario.tissues), tolerance=self.tolerance, terms=_TERMS,
             orders=max(scattered_orders(discs) - _FEWER, 0),
         )  # fmt: skip
         values = np.full((len(frequency), len(ports), len(ports)), np.nan + 0j)
-        values[:, :, : len(inputs)] = result.values
-        values[:, : len(inputs)] = result.values.swapaxes(1, 2)
-        error = result.error
+        values[:, :, : len(contacts)] = result.values
+        values[:, : len(contacts)] = result.values.swapaxes(1, 2)
         estimate = quadrature_estimate(
-            frequency, error,
-            "last terms and orders of the tractions under rigid discs, quadrature",
-        )  # fmt: skip
+            frequency, result.error, "last terms and orders of the tractions under rigid discs, quadrature"
+        )
         return Compliance(frequency, values, ports, (estimate,), provenance={"engine": "layered"})
-
-    return compute
-
-
-def fem_compliance_of(model: ParametricModel, frequency: FloatArray) -> ComplianceOf:
-    """The scene's finite elements, reduced for the tissues of a fit, at ``frequency`` (n,) [Hz] between its ports."""
-    return lambda scenario: model.compliance(scenario, frequency)
 
 
 def fem_model_for(
@@ -211,19 +215,24 @@ def fem_meshes_for(
     return arm_meshes(scenario, base, _pool(scenario, parameters), progress)
 
 
-def fem_compliance_less_error(
-    model: ParametricModel, meshes: ArmMeshes, arm: Scenario, frequency: FloatArray
-) -> ComplianceOf:
-    """:func:`fem_compliance_of` less what the elements err by, as far as the change on the second mesh has its shape
-    and, at each ``frequency`` (n,) [Hz], the size that is stated for an ``arm``."""
-    share = meshes.share(arm, model.compliance(arm, frequency))[:, None, None]
+@dataclass(frozen=True, eq=False)
+class LessElements:
+    """The reduced finite elements less a ``share`` (n_frequency,) of the change on the ``second`` mesh: what the
+    elements err by, as far as it has the shape of that change."""
 
-    def compute(scenario: Scenario) -> Compliance:
-        """The model's answer less its share of the change to the second mesh."""
-        own, other = (m.compliance(scenario, frequency) for m in (model, meshes.second))
-        return replace(own, values=own.values - share * (other.values - own.values))
+    model: ParametricModel
+    second: ParametricModel
+    share: FloatArray
+    name: str = "parametric finite elements, elements' error taken off"
 
-    return compute
+    def holds(self, scenario: Scenario) -> str:
+        """See :class:`.Engine`: as the model."""
+        return self.model.holds(scenario)
+
+    def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
+        """See :class:`.Engine`."""
+        own, other = (m.compliance(scenario, frequency) for m in (self.model, self.second))
+        return replace(own, values=own.values - self.share[:, None, None] * (other.values - own.values))
 
 
 def _pool(scenario: Scenario, parameters: Sequence[Parameter]) -> list[Scenario]:
@@ -234,26 +243,13 @@ def _pool(scenario: Scenario, parameters: Sequence[Parameter]) -> list[Scenario]
             f"{geometry[0]}: a mesh has one geometry, so that a fit on finite elements cannot look for it; leave it "
             "out, or fit on the layered twin"
         )
-    free = ScenarioModel(scenario, _never)
+    base = scenario.model_dump(mode="json", exclude_none=True)
     places = LatinHypercube(max(len(skin), 1), rng=np.random.default_rng(0)).random(_POOL)
     drawn = [
-        free.scenario({p.name: p.start * _REACH ** (2 * x - 1) for p, x in zip(skin, row, strict=False)})
+        _with_values(base, {p.name: p.start * _REACH ** (2 * x - 1) for p, x in zip(skin, row, strict=False)})
         for row in places
     ]
     return [scenario, *drawn]
-
-
-def _never(scenario: Scenario) -> Compliance:
-    raise AssertionError(f"{scenario.name} is not solved here")
-
-
-def layers_from(scenario: Scenario) -> tuple[Layer, ...]:
-    """The scenario's layers on a half-space of its core tissue; ScenarioError for a limb without layers."""
-    if not layers_of(scenario.limb) or not isinstance(getattr(scenario.limb, "core", None), str):
-        raise ScenarioError(
-            "limb: the layered twin needs a parametric limb with layers and a core; fit on finite elements with --fem"
-        )
-    return tuple(flat_layers(scenario))
 
 
 def common_parameters(scenario: Scenario, names: Sequence[str]) -> tuple[Parameter, ...]:

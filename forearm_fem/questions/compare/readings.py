@@ -10,8 +10,8 @@ from itertools import product
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from ...metrics.common_ground import CommonGround
 from ...typing import ComplexArray, FloatArray, IntArray
-from .common import CommonGround
 
 # How near two transfer matrices are, and when what brings them nearer is a mistake and not another arm.
 # Nearness is s = ||A - B|| / sqrt(||A|| ||B||), as large for B a thousand times too small as for a thousand times too

@@ -16,6 +16,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure, FigureBase
 
 from ... import __version__
+from ...metrics.common_ground import CommonGround
 from ...ports import positions
 from ...rendering.limits import counted_points, not_counted_words
 from ...show.page import Block, Page, Section, embedded
@@ -23,7 +24,6 @@ from ...show.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, mi
 from ...store.folder import atomic_path, set_kind, write_text
 from ...typing import BoolArray
 from .agreement import fdac_matrix, where_words
-from .common import CommonGround
 from .compare import Comparison, comparison_record
 from .crossplay import CrossPlay
 

@@ -11,33 +11,32 @@ from typing import Any
 import numpy as np
 
 from ...device.loop import close_loop
+from ...engines.engine import Engine
 from ...engines.parametric import BEYOND, ParametricModel
 from ...errors import DataError, ForearmError
 from ...files.declaration import Declaration, arbitrary_gain, declared_by
 from ...files.read import read
 from ...geometry.device.layout import planform_ports
+from ...metrics.common_ground import common_ground
 from ...ports import Port
 from ...progress import Progress, tell, within
+from ...results.files import write_transfer
 from ...scenario import Scenario
 from ...store.folder import check_kind, set_kind, write_text
-from ...store.results import write_transfer
 from ...store.text import plain
 from ...transfer import UNITS, ErrorEstimate, TransferMatrix
 from ..predict.arm import as_wrong
-from .common import common_ground
 from .compare import Comparison, compare
 from .fit import DELAY, FALLBACK_NOISE, SCALE, FitResult, fit, moved_by, with_model_error, with_scattered_error
 from .next_best import NextBest, next_best
 from .parameters import (
-    ComplianceOf,
+    LessElements,
     Parameter,
     ScenarioModel,
+    TwinBetween,
     common_parameters,
-    fem_compliance_less_error,
-    fem_compliance_of,
     fem_meshes_for,
     fem_model_for,
-    layered_compliance_of,
 )
 from .readings import explained, mistake
 from .report import FILES, as_markdown, save_report
@@ -133,14 +132,14 @@ def run_fit(
     folder: str | Path | None = None,
     declaration: Declaration | None = None,
     frequencies: int = 24,
-    compliance_of: ComplianceOf | None = None,
+    engine: Engine | None = None,
     fem: bool = False,
     base: str | Path = ".",
     progress: Progress | None = None,
 ) -> FitCommandResult:
     """Fit ``parameters`` (short names of :func:`common_parameters`) of ``scenario`` to a measured G.
 
-    ``frequencies`` of its bins are used, spread evenly; the layered twin answers unless ``compliance_of``
+    ``frequencies`` of its bins are used, spread evenly; the layered twin answers unless an ``engine``
     is given, or the scenario's own finite elements with ``fem`` (a parametric model, made once and kept in the cache;
     ``base`` is the folder of the scenario's files). Actuators of the device that were not measured are there
     all the same. Writes fit.json, fit.md and fitted.nc into ``folder``; their notes say which reading of the data
@@ -161,12 +160,12 @@ def run_fit(
     if fem:
         _check_reach(scenario, data)
         reduced = fem_model_for(scenario, chosen, base=base, progress=progress)
-        compliance_of = fem_compliance_of(reduced, data.frequency)
+        engine = reduced
         outputs = tuple(p for p in reduced.ports if p.kind == "point")
-    elif compliance_of is None:
+    elif engine is None:
         outputs = (*outputs, *_unmeasured(scenario, data))
-        compliance_of = layered_compliance_of(data.frequency, outputs, inputs)
-    whole = ScenarioModel(scenario, compliance_of)
+        engine = TwinBetween(outputs, inputs)
+    whole = ScenarioModel(scenario, engine, data.frequency)
 
     def model(values: Mapping[str, float]) -> TransferMatrix:
         """G of the scenario with ``values`` in place, as the data have it."""
@@ -199,10 +198,10 @@ def _rescaled(chosen: Sequence[Parameter], data: TransferMatrix, start: Transfer
 
 
 def _refitted(
-    skin: ComplianceOf, scenario: Scenario, data: TransferMatrix, result: FitResult, progress: Progress | None
+    skin: Engine, scenario: Scenario, data: TransferMatrix, result: FitResult, progress: Progress | None
 ) -> dict[str, float]:
     """Values that another model finds in the same data, from those of ``result`` on."""
-    other = ScenarioModel(scenario, skin)
+    other = ScenarioModel(scenario, skin, data.frequency)
     again = [replace(p, start=min(max(result.values[p.name], p.lower), p.upper)) for p in result.parameters]
     return dict(fit(lambda values: answering(other(values), data), data, again, progress=progress).values)
 
@@ -213,19 +212,18 @@ def _with_model_errors(
 ) -> tuple[FitResult, str]:  # fmt: skip
     """The fit with intervals that hold what the reduction and the elements err by, and a sentence on the latter; or the
     sentence that says why they do not."""
-    rough = fem_compliance_of(reduced.coarser, data.frequency)
-    moved = _refitted(rough, scenario, data, result, within(progress, "reduction"))
+    moved = _refitted(reduced.coarser, scenario, data, result, within(progress, "reduction"))
     result = with_model_error(result, moved, reduced.factor)
     try:
         meshes = fem_meshes_for(scenario, result.parameters, base=base, progress=within(progress, "coarser mesh"))
     except ForearmError as problem:
         return result, f"numerics: unknown; what the elements err by is in no interval ({problem})"
-    own = ScenarioModel(scenario, fem_compliance_of(reduced, data.frequency))
+    own = ScenarioModel(scenario, reduced, data.frequency)
     arm = own.scenario(_scenario_values(result))
     found = reduced.compliance(arm, data.frequency)
     estimate, missed = meshes.missed(arm, found)
-    skin = fem_compliance_less_error(reduced, meshes, arm, data.frequency)
-    moved = _refitted(skin, scenario, data, result, within(progress, "coarser mesh"))
+    less = LessElements(reduced, meshes.second, meshes.share(arm, found))
+    moved = _refitted(less, scenario, data, result, within(progress, "coarser mesh"))
     said = (
         f"numerics: the elements err by an e_band of {100 * estimate.band:.2g} % there, which intervals hold; what "
         "cutting the limb errs by is in none, a run of the scene states it as truncation"

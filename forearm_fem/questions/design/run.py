@@ -20,7 +20,7 @@ from ... import __version__
 from ...errors import ScenarioError
 from ...progress import Progress, tell, within
 from ...rendering.job import wavelet
-from ...results import read_run
+from ...results.run import read_run
 from ...scenario.shipped import contents, named_files
 from ...store.folder import check_kind, set_kind
 from ...store.shelf import WORK, Shelf

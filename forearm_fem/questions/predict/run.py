@@ -19,10 +19,11 @@ from ...errors import AccuracyWarning, ForearmError, ScenarioError
 from ...fem.kernels.compiled import freed_memory_kept
 from ...geometry.device.layout import planform_ports
 from ...progress import Progress, tell, within
-from ...rendering.interval import StrengthAccount
+from ...rendering.interval import Strength
 from ...rendering.job import RenderJob, check_servable, wavelet
 from ...rendering.lattice import is_thesis_grid
 from ...rendering.limits import counted_points
+from ...results.draws import DRAWS_FILE, DrawsFile, Outcome
 from ...scenario import Scenario
 from ...scenario.shipped import contents, named_files
 from ...scenario.sweep import frequencies
@@ -34,11 +35,10 @@ from ...store.work import LOST, done_once, light_workers, spread
 from ...transfer import UNITS, ErrorEstimate
 from .arm import ArmModel, LayeredArm, arm_model
 from .draws import FASCIA, LAWS, draw_inputs, each_name, has_fascia, is_bare, load_priors, scenario_of
-from .outcome import DrawsFile, Outcome, Setup, outcome_of, setup_of
+from .outcome import Setup, outcome_of, setup_of
 from .statistics import Draws, draws_of
 
 DRAWS = 200
-FILE = "draws.nc"
 POOL = 200  # draws that a model of finite elements is made from: the first ones, however many are asked for
 
 
@@ -77,7 +77,7 @@ class Prediction:
     """
 
     question: Question
-    nominal: StrengthAccount
+    nominal: Strength
     draws: Draws
     model: str
     left_out: str
@@ -142,7 +142,7 @@ def predict(
             set_kind(out, "prediction")
         kept[jobs[key].number] = _outcome(jobs[key].number, parts, setup)
     frequency, unit = frequencies(question.scenario.sweep), UNITS[question.scenario.device.drive]
-    save(out / FILE, DrawsFile.of(list(kept.values()), setup.methods, setup.targets, digest, frequency, unit))
+    save(out / DRAWS_FILE, DrawsFile.of(list(kept.values()), setup.methods, setup.targets, digest, frequency, unit))
     grid = is_thesis_grid(setup.outputs)
     points, motors = planform_ports(question.scenario)
     touching = [p for p in motors if p.name not in question.scenario.device.out_of_contact]
@@ -195,7 +195,7 @@ def expanded(held: Collection[str], scenario: Scenario) -> frozenset[str]:
     return frozenset({*names, *each, *({"tissue"} & set(held))})
 
 
-def _nominal(question: Question, progress: Progress | None) -> tuple[StrengthAccount, tuple[ErrorEstimate, ...]]:
+def _nominal(question: Question, progress: Progress | None) -> tuple[Strength, tuple[ErrorEstimate, ...]]:
     """The scene's own S with its interval, and what its G errs by."""
     scenario, base = question.scenario, question.base
     with warnings.catch_warnings():
@@ -225,7 +225,7 @@ def drawn(question: Question, setup: Setup, arm: ArmModel, number: int) -> Outco
         with freed_memory_kept():
             return outcome_of(draw, setup, arm)
     except ForearmError as problem:
-        return Outcome.none(number, draw.law, setup, str(problem))
+        return Outcome.none(number, draw.law, setup.methods, setup.targets, str(problem))
 
 
 def work(job: Job) -> dict[str, Any]:
@@ -238,9 +238,9 @@ def work(job: Job) -> dict[str, Any]:
 
 
 def _outcome(number: int, parts: Mapping[str, Any], setup: Setup) -> Outcome:
-    """What :meth:`.outcome.Outcome.as_parts` gave, or why there is nothing."""
+    """What :meth:`.Outcome.as_parts` gave, or why there is nothing."""
     if "strengths" not in parts:
-        return Outcome.none(number, "", setup, str(parts[LOST]))
+        return Outcome.none(number, "", setup.methods, setup.targets, str(parts[LOST]))
     return Outcome(**{**parts, "number": number, "drivers": MappingProxyType(parts["drivers"])})
 
 

@@ -13,9 +13,9 @@ from scipy.stats import rankdata
 
 from ...errors import DataError, MissingExtra
 from ...metrics.strength import GROUPS
+from ...results.draws import READINGS, Outcome
 from ...typing import BoolArray, FloatArray
 from .draws import SOFT
-from .outcome import READINGS, Outcome
 
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 LEAST = 20  # draws, for quantiles of 5 and 95 %

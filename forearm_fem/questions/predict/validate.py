@@ -18,7 +18,7 @@ from ...errors import DataError, ForearmError, ScenarioError
 from ...geometry.device.layout import planform_ports
 from ...metrics.strength import thesis_table
 from ...progress import Progress, tell
-from ...rendering.interval import StrengthAccount, strength_account
+from ...rendering.interval import Strength, strength_of
 from ...rendering.job import RenderJob, targets_of, wavelet, wavelet_for
 from ...rendering.lattice import is_thesis_grid
 from ...scenario import Scenario
@@ -236,7 +236,7 @@ def _shah(question: Question, progress: Progress | None) -> list[dict[str, Any]]
     return found
 
 
-def _strengths_of(transfer: TransferMatrix, question: Question) -> tuple[StrengthAccount, str]:
+def _strengths_of(transfer: TransferMatrix, question: Question) -> tuple[Strength, str]:
     """S of a measured G by the scene's methods and wavelet at its targets, and what of it is not known; DataError where
     S is not."""
     names, scenario = {p.name for p in transfer.outputs}, question.scenario
@@ -256,11 +256,11 @@ def _strengths_of(transfer: TransferMatrix, question: Question) -> tuple[Strengt
             f"the measured G gives no S: {lost:.0%} of the wavelet's energy lies where it is unknown; measure it"
         )
     silent = f"{lost:.0%} of the wavelet's energy lies where it is unknown and is not driven" if lost >= _LOST else ""
-    account = strength_account(found, job.methods, shape, measured=True)
+    account = strength_of(found, job.methods, shape, measured=True)
     return account, "; ".join(s for s in (found.bridged.sentence, silent, account.unknown) if s)
 
 
-def _measured(found: StrengthAccount, note: str, prediction: Prediction) -> dict[str, Any]:
+def _measured(found: Strength, note: str, prediction: Prediction) -> dict[str, Any]:
     """S of a measured G against the arms, and the ``interval`` [low, high] that the scatter of G and its bridged holes
     leave of each; a verdict that would be another one at an end of it is not sure.
     """

@@ -19,8 +19,6 @@ from ...files.declaration import arbitrary_gain
 from ...geometry.device.layout import layout_of
 from ...ports import Port
 from ...progress import Progress
-from ...questions.predict.outcome import DrawsFile
-from ...questions.predict.run import FILE
 from ...rendering import (
     Bridged,
     Placed,
@@ -34,6 +32,7 @@ from ...rendering import (
 )
 from ...rendering.interval import at_least_band
 from ...rendering.job import least_error, wavelet
+from ...results.draws import DRAWS_FILE, DrawsFile
 from ...scenario import Scenario, parse_scenario
 from ...scenario.actuators import beneath
 from ...scenario.changes import put
@@ -206,7 +205,7 @@ def _arms(prediction: Mapping[str, Any] | None) -> dict[str, Any] | None:
 
 def _draws(results: Results, placed: Placed) -> list[dict[str, Any]]:
     """G of some arms that a prediction of this scenario drew, on the page's bins, and what arms they are."""
-    file = results.folder / Path(PREDICTION).parent / FILE
+    file = results.folder / Path(PREDICTION).parent / DRAWS_FILE
     if results.prediction is None or not file.is_file():
         return []
     frequency, sweep = frequencies(results.scenario.sweep), results.scenario.sweep

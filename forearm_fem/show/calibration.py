@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..show.style import ACTUATORS, FAINT, SIZE, arrange, decimal, letter, sign, single, styled
 from ..store.folder import atomic_path
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
+from .style import ACTUATORS, FAINT, SIZE, arrange, decimal, letter, sign, single, styled
 
 
 @styled

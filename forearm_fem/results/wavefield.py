@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import DataError
-from .store.folder import write_bytes
-from .typing import ComplexArray, FloatArray
+from ..errors import DataError
+from ..store.folder import write_bytes
+from ..typing import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)

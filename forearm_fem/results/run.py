@@ -13,10 +13,10 @@ from typing import Any
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError
 
-from .errors import DataError
-from .metrics import condition_number, condition_summary
-from .store.text import read_json, write_json
-from .transfer import ErrorEstimate, TransferMatrix
+from ..errors import DataError
+from ..metrics import condition_number, condition_summary
+from ..store.text import read_json, write_json
+from ..transfer import ErrorEstimate, TransferMatrix
 
 VERSION = 1  # of the record's own form; files before 0.15 state none and are read as this one
 

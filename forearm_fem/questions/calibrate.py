@@ -14,21 +14,21 @@ import numpy as np
 from ..errors import AccuracyWarning, DataError, HardwareError, ScenarioError
 from ..files.wav import read_wav_drives
 from ..geometry.device.layout import planform_ports
+from ..measurement.calibrate import Plan, Step, assembled, calibrate
+from ..measurement.daq import Daq, Wiring
+from ..measurement.entry import Measured
+from ..measurement.estimators import ExponentialSweep
+from ..measurement.ni import NiDaq
+from ..measurement.playback import Loopback, Played, check_belongs, loopback, play, with_latency
+from ..measurement.sound import SoundCard
+from ..measurement.virtual import VirtualDaq, VirtualOptions, VirtualSensor, noise_for
 from ..progress import Progress, tell
+from ..results.files import read_drives, refuse_other_g, write_transfer
 from ..scenario import Scenario
 from ..scenario.measurement import DaqOptions
 from ..store.folder import check_kind
-from ..store.results import read_drives, refuse_other_g, write_transfer
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
-from .calibrate import Plan, Step, assembled, calibrate
-from .daq import Daq, Wiring
-from .entry import Measured
-from .estimators import ExponentialSweep
-from .ni import NiDaq
-from .playback import Loopback, Played, check_belongs, loopback, play, with_latency
-from .sound import SoundCard
-from .virtual import VirtualDaq, VirtualOptions, VirtualSensor, noise_for
 
 __all__ = ["CalibrationResult", "VirtualSetup", "hardware", "run_calibration", "run_loopback", "run_play", "wired"]
 
@@ -105,7 +105,7 @@ def run_calibration(
     def after(step: Step) -> None:
         """Draw what is known by now, and tell how far it is."""
         if figure and not step.reused:
-            from .figures import save_live  # plotting is heavy, and who asks for no picture does not need it
+            from ..show.calibration import save_live
 
             now = assembled(plan, step.entries, device.name)
             save_live(target / "live.png", now.transfer, now.coherence)

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import median_filter
 
-from ...errors import DataError
-from ...ports import Port
-from ...transfer import TransferMatrix
-from ...typing import BoolArray, ComplexArray, FloatArray
+from ..errors import DataError
+from ..ports import Port
+from ..transfer import TransferMatrix
+from ..typing import BoolArray, ComplexArray, FloatArray
 
 # Ports of two transfer matrices matched by name and by place, and what to say where the two do not agree.
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from ..errors import DataError
 from ..metrics.strength import GROUPS, seconds_of
+from ..store.folder import write_text
+from ..store.record import dims, load, save
 from ..transfer import Compliance, TransferMatrix
 from ..typing import FloatArray
-from .folder import write_text
-from .record import dims, load, save
 
 __all__ = [
     "Signals",
