@@ -20,6 +20,7 @@ from ...errors import ForearmError, ScenarioError
 from ...fem.reduction.poles import chebyshev_frequencies
 from ...layered import layered_compliance
 from ...metrics import smooth_noise
+from ...ports import Port
 from ...progress import Progress, within
 from ...scenario import Scenario
 from ...transfer import Compliance, ErrorEstimate
@@ -72,6 +73,10 @@ class ArmModel(Engine, Protocol):
         """The same with what it may be as well."""
         ...
 
+    def answers(self, scenario: Scenario, seen: Scenario, frequency: FloatArray) -> tuple[Answer, Compliance]:
+        """The same, and the compliance of ``seen``, which has points elsewhere or read otherwise."""
+        ...
+
 
 @dataclass(frozen=True)
 class LayeredArm:
@@ -117,7 +122,10 @@ class LayeredArm:
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """See :class:`ArmModel`."""
         scenario = without_bones(scenario)
-        ports = flat_ports(scenario)
+        return self._between(scenario, flat_ports(scenario), frequency)
+
+    def _between(self, scenario: Scenario, ports: tuple[Port, ...], frequency: FloatArray) -> Compliance:
+        """Compliance between ``ports`` on the scenario's layers."""
         discs = [flat_disc(port) for port in ports]
         for orders in self.orders:
             found = layered_compliance(
@@ -137,6 +145,21 @@ class LayeredArm:
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
         """See :class:`ArmModel`: its errors are noise."""
         return Answer(self.compliance(scenario, frequency))
+
+    def answers(self, scenario: Scenario, seen: Scenario, frequency: FloatArray) -> tuple[Answer, Compliance]:
+        """See :class:`ArmModel`: one solve for the points of both, whose contacts are the same."""
+        scenario, seen = without_bones(scenario), without_bones(seen)
+        own, laid = flat_ports(scenario), flat_ports(seen)
+        points = tuple(port for port in laid if port.kind == "point")
+        both = self._between(scenario, (*own, *points), frequency)
+        contacts = [i for i, port in enumerate(own) if port.kind == "contact"]
+        met = [*contacts, *range(len(own), len(both.ports))]
+        every = range(len(frequency))
+        true, seen_there = (
+            replace(both, values=both.values[np.ix_(every, at, at)], ports=tuple(both.ports[i] for i in at))
+            for at in (range(len(own)), met)
+        )
+        return Answer(true), seen_there
 
 
 def without_bones(scenario: Scenario) -> Scenario:
@@ -220,6 +243,10 @@ class ReducedArm:
             found, *geometry = self._changed(found, scenario, own)
             off += geometry
         return Answer(found, as_wrong(found, off), frozenset(e.source for e in found.errors))
+
+    def answers(self, scenario: Scenario, seen: Scenario, frequency: FloatArray) -> tuple[Answer, Compliance]:
+        """See :class:`ArmModel`."""
+        return self.answer(scenario, frequency), self.compliance(seen, frequency)
 
     def _changed(self, found: Compliance, scenario: Scenario, own: Scenario) -> tuple[Compliance, Any, FloatArray]:
         """The answer with what geometry changes between two draws, what of that change may be wrong, and the twin's

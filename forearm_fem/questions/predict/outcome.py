@@ -61,18 +61,15 @@ def outcome_of(draw: Draw, setup: Setup, arm: ArmModel) -> Outcome:
     held = setup.held | arm.held
     scenario = scenario_of(draw, setup.scenario, held)
     values = {name: value for name, value in draw.values.items() if name not in held}
-    answer = arm.answer(scenario, frequencies(scenario.sweep))
+    seen, at = measured_of(replace(draw, values=values), scenario), frequencies(scenario.sweep)
+    answer, met = arm.answers(scenario, seen, at) if seen.grid != scenario.grid else (arm.answer(scenario, at), None)
     true, *others = (
         with_nominal_ports(finite(close_loop(c, scenario.device)), setup) for c in (answer.compliance, *answer.others)
     )
     if not total_error(true.errors) < _MOST:
         raise ReductionError(f"G of the arm may be wrong by as much as it is: e_band is {_MOST:g} or more, or unknown")
-    seen = measured_of(replace(draw, values=values), scenario)
-    met = true
-    if seen.grid != scenario.grid:
-        compliance = arm.compliance(seen, frequencies(seen.sweep))
-        met = with_nominal_ports(finite(close_loop(compliance, seen.device)), setup)
-    found = strengths_of(setup.job, true, reported(met, seen, draw.generator("rig")))
+    under = true if met is None else with_nominal_ports(finite(close_loop(met, seen.device)), setup)
+    found = strengths_of(setup.job, true, reported(under, seen, draw.generator("rig")))
     job = setup.job
     noise = tuple(e for e in true.errors if e.source not in answer.shown)
     spread = interval(true, noise, job.targets, job.span, job.methods, job.wavelet, draws=_DRAWS, others=others)
