@@ -155,8 +155,9 @@ def test_without_a_rig_drives_play_as_reported() -> None:
     loud = outcome_of(draw_inputs(load_priors(), SCENE, 3, 0), loud_setup, arm).strengths
     assert not np.allclose(loud[0], loud[1], rtol=1e-6)
     # the true arm is the same, noise or not: funneling does not look at G
+    # (solved with the rig's points beside its own, within the twin's tolerance)
     assert loud[0][setup.methods.index("funneling")] == pytest.approx(
-        quiet[0][setup.methods.index("funneling")], rel=1e-12
+        quiet[0][setup.methods.index("funneling")], rel=1e-4
     )
 
 
@@ -230,7 +231,7 @@ def test_an_arm_that_few_orders_do_not_answer_is_asked_with_more() -> None:
 
 
 def test_an_arm_that_cannot_be_is_data(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = question()
+    asked = question(held=("measurement",))
     _, setup, arm = setup_and_arm(asked)
 
     def broken(*_: object) -> None:
@@ -250,7 +251,7 @@ def test_an_arm_whose_error_is_as_large_as_its_g_is_left_out_and_counted(
     band: float, found: tuple[Prediction, Path]
 ) -> None:
     """Its S would be noise, or unknown; the report says how many such arms there were."""
-    asked = question()
+    asked = question(held=("measurement",))
     _, setup, arm = setup_and_arm(asked)
 
     class Poor(LayeredArm):
@@ -271,7 +272,7 @@ def test_an_arm_whose_error_is_as_large_as_its_g_is_left_out_and_counted(
 
 
 def test_an_arm_of_larger_error_has_a_wider_interval_of_s() -> None:
-    asked = question()
+    asked = question(held=("measurement",))
     _, setup, arm = setup_and_arm(asked)
 
     class Stated(LayeredArm):
@@ -287,7 +288,7 @@ def test_an_arm_of_larger_error_has_a_wider_interval_of_s() -> None:
 
 def test_an_error_of_known_shape_is_no_noise() -> None:
     """What a model says it may be as well sets the interval, and the estimate of that source does not count twice."""
-    asked = question()
+    asked = question(held=("measurement",))
     _, setup, arm = setup_and_arm(asked)
 
     class Shaped(LayeredArm):

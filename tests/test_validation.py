@@ -17,7 +17,7 @@ from forearm_fem.metrics import thesis_table
 from forearm_fem.questions.predict import validate as module
 from forearm_fem.questions.predict.published import SHAH_ARMS, TARGETS, Arm, Target, fat_of, motor_ratios, observables
 from forearm_fem.questions.predict.run import Question
-from forearm_fem.questions.predict.statistics import Draws
+from forearm_fem.questions.predict.statistics import Draws, group_deviations, log_score
 from forearm_fem.questions.predict.validate import validate
 from forearm_fem.results.files import write_transfer
 from forearm_fem.scenario import Scenario, parse_scenario
@@ -209,11 +209,25 @@ def test_observables_resume_and_other_questions_start_anew(
 ) -> None:
     found, folder = whole
     monkeypatch.setattr(module, "observables", lambda arm: pytest.fail("a finished draw was measured again"))
-    rows = module._observed(Question(parse_scenario(SMALL), Path()), folder, 21, True, None)
+    once = parse_scenario({**SMALL, "measurement": {"repeats": 1}})  # as the thesis measured
+    rows = module._observed(Question(once, Path()), folder, 21, True, None)
     assert len(rows) == 21
     with pytest.raises(pytest.fail.Exception, match="measured again"):
         module._observed(Question(parse_scenario(SMALL), Path(), seed=7), folder, 1, True, None)
     assert found["draws"] == 21
+
+
+def test_deviations_and_the_score_by_hand() -> None:
+    """S of four edges 1, 2, 3, 4 has a deviation of sqrt(5/3); a density of normals is that of their logarithms."""
+    groups = {"edges": [0, 1, 2, 3], "middle": [4]}
+    found = group_deviations(np.array([[[1.0, 2.0, 3.0, 4.0, 9.0]]]), groups)
+    assert found[0, 0, 0] == pytest.approx(math.sqrt(5 / 3))
+    assert np.isnan(found[0, 0, 1])
+    logs = np.random.default_rng(0).standard_normal((20000, 2)) * [0.5, 2.0]
+    at = np.array([0.3, -1.0])
+    by_hand = -0.5 * np.sum((at / [0.5, 2.0]) ** 2) - math.log(2 * math.pi) - math.log(0.5 * 2.0)
+    assert log_score(np.exp(logs), np.exp(at)) == pytest.approx(by_hand, abs=0.05)  # 20,000 draws: 1 % of a deviation
+    assert np.isnan(log_score(np.exp(logs[:9]), np.exp(at)))
 
 
 def test_a_scene_of_another_device_or_stimulus_is_told_from_the_thesis(whole: tuple[dict[str, Any], Path]) -> None:
