@@ -5,12 +5,14 @@ through the virtual device; every session is a process of its own (`forearm-fem 
 moments ``--kill`` times in all and started again. In every session the page is reloaded once; every third participant
 has a second window open that answers too late; every fourth uses a telephone's width. Then the analysis, and the R
 scripts beside it where Rscript is installed: largest differences from our tables. Writes results/study.csv and
-study.md. A run that was stopped goes on where it was. Needs the extras study and test, and Chromium.
+study.md. A run that was stopped goes on where it was: participants who are done are in STUDY/browser.jsonl, and
+``--seconds`` begins no further one after that time. Needs the extras study and test, and Chromium.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import random
 import re
 import shutil
@@ -19,6 +21,7 @@ import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -34,27 +37,36 @@ def main() -> None:
     options.add_argument("--participants", type=int, default=20)
     options.add_argument("--at-once", type=int, default=2)
     options.add_argument("--kill", type=int, default=20)
-    options.add_argument("--only", type=int, help="answers per session and participant, to try the script")
+    options.add_argument("--seconds", type=float, default=1e9, help="after which nobody begins any more")
     chosen = options.parse_args()
-    n = chosen.participants
+    n, began = chosen.participants, time.perf_counter()
     per_person = [chosen.kill // n + (k < chosen.kill % n) for k in range(n)]
     from forearm_fem.study.run import Prepared
 
-    began = time.perf_counter()
     store = Prepared.of(chosen.study).store(begin=True)
     for k in range(n):  # in this order, whoever comes first: the place in the study is the order of enrolment
         store.enrol(f"{k + 1:02d}", consent="2026-11-24", age=20 + k, sex="FM"[k % 2])
+    kept = store.folder / "browser.jsonl"
+    done = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+    left = [k for k in range(n) if k not in {d["number"] for d in done}]
     with ProcessPoolExecutor(chosen.at_once) as pool:
-        jobs = [pool.submit(person, chosen.study, k, per_person[k], chosen.only) for k in range(n)]
-        done = [job.result() for job in jobs]
-    problems = [line for found, *_ in done for line in found]
-    answered = time.perf_counter()
+        stop = began + chosen.seconds
+        for job in [pool.submit(person, chosen.study, k, per_person[k], stop) for k in left]:
+            if (found := job.result()) is not None:
+                done.append(found)
+                with kept.open("a") as stream:
+                    stream.write(json.dumps(found) + "\n")
+    if len(done) < n:
+        print(f"{len(done)} of {n} are done; the same line goes on")
+        return
+    began = time.perf_counter()
     subprocess.run([sys.executable, "-m", "forearm_fem", "study", "analyse", str(chosen.study)], check=True)
+    problems = [line for d in done for line in d["problems"]]
     row = {
-        "participants": n, "answers": sum(d[1] for d in done), "killed": sum(d[2] for d in done),
-        "reloads": sum(d[3] for d in done), "late_answers_of_second_windows": sum(d[4] for d in done),
-        "problems": len(problems), "seconds": round(answered - began),
-        "seconds_to_report": round(time.perf_counter() - answered, 1),
+        "participants": n,
+        **{k: sum(d[k] for d in done) for k in ("answers", "killed", "reloads", "late_answers_of_second_windows")},
+        "problems": len(problems), "seconds_a_participant": round(sum(d["seconds"] for d in done) / n),
+        "seconds_to_report": round(time.perf_counter() - began, 1),
     }  # fmt: skip
     write_page(row, store.folder / "analysis")
     print(row)
@@ -96,33 +108,40 @@ def in_r(analysis: Path) -> list[str]:
     if shutil.which("Rscript") is None:
         return ["\nR is not installed here, so that its scripts were not run."]
     worst: dict[str, float] = {}
-    same = {"F": "F", "num.Df": "df", "den.Df": "df_error", "Pr..F.": "p", "pes": "partial_eta2", "ges":
-            "generalised_eta2", "estimate": "difference", "low": "low", "high": "high", "t.ratio": "t",
-            "p.corrected": "p"}  # fmt: skip
+    same = {
+        "anova": {"F": "F", "num.Df": "df", "den.Df": "df_error", "Pr..F.": "p", "pes": "partial_eta2",
+                  "ges": "generalised_eta2"},
+        "mauchly": {"w": "mauchly_w", "p": "mauchly_p"}, "normal": {"W": "W", "p": "p"},
+        "pairs": {"estimate": "difference", "low": "low", "high": "high", "t.ratio": "t", "p.corrected": "p"},
+    }  # fmt: skip
     for file in sorted(analysis.glob("*.R")):
         subprocess.run(["Rscript", file.name], cwd=analysis, check=True, capture_output=True)
-        for kind in ("anova", "pairs"):
+        for kind, columns in same.items():
             theirs = pd.read_csv(analysis / f"{file.stem}-r-{kind}.csv")
-            ours = pd.read_csv(analysis / f"{file.stem}-{kind}.csv")
+            ours = pd.read_csv(analysis / f"{file.stem}-{'anova' if kind == 'mauchly' else kind}.csv")
             theirs.columns = [re.sub(r"[^A-Za-z0-9_]", ".", c) for c in theirs.columns]
-            for name, column in same.items():
-                if name in theirs and column in ours:
-                    least = 1e-3 * ours[column].abs().max()  # differences of zero are rounding
-                    apart = (theirs[name] - ours[column]).abs() / ours[column].abs().clip(lower=least)
-                    key = f"{kind}, {column}"
-                    worst[key] = max(worst.get(key, 0.0), float(apart.max()))
+            for name, column in columns.items():
+                least = 1e-3 * ours[column].abs().max()  # differences of zero are rounding
+                apart = (theirs[name] - ours[column]).abs() / ours[column].abs().clip(lower=least)
+                key = f"{kind}, {column}"
+                worst[key] = max(worst.get(key, 0.0), float(apart.max()))
     rows = [f"| {name} | {value:.1e} |" for name, value in worst.items()]
     return ["\n## The same in R\n", "afex and emmeans, by the scripts that stand beside the report.\n",
             "| table, column | largest relative difference |\n|---|---|", *rows]  # fmt: skip
 
 
-def person(study: Path, number: int, kills: int, only: int | None) -> tuple[list[str], int, int, int, int]:
-    """All tasks of one participant: problems, answers on disk, kills, reloads, late answers that were refused."""
+def person(study: Path, number: int, kills: int, stop: float) -> dict[str, Any] | None:
+    """All tasks of one participant: problems, answers on disk, kills, reloads, late answers that were refused.
+
+    None where the time is over before anything was begun.
+    """
     from playwright.sync_api import sync_playwright
 
-    from forearm_fem.study.order import tasks_of, trials
+    from forearm_fem.study.plan import tasks_of, trials
     from forearm_fem.study.run import Prepared
 
+    if (began := time.perf_counter()) > stop:
+        return None
     prepared, name = Prepared.of(study), f"{number + 1:02d}"
     store = prepared.store()
     mind = Person(prepared.grid(), number, WORSE)
@@ -132,10 +151,9 @@ def person(study: Path, number: int, kills: int, only: int | None) -> tuple[list
             executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
         )
         for task in tasks_of(prepared.study, store.place(name)):
-            order = trials(prepared.study, task, store.place(name))[:only]
-            moments = set(random.Random(number).sample(range(1, len(order)), min(kills, len(order) - 1)))
-            kills = 0  # in the first task
-            planned = len(moments)
+            order = trials(prepared.study, task, store.place(name))
+            moments = set(random.Random(number).sample(range(1, len(order)), kills))
+            planned, kills = len(moments), 0  # in the first task
             said = [tuple(r["response"].split()) for r in store.answers(name, task.name)]
             while len(said) < len(order):
                 given, again, late = sitting(browser, study, name, task, order, said, moments, mind, number)
@@ -147,7 +165,8 @@ def person(study: Path, number: int, kills: int, only: int | None) -> tuple[list
             if kept != expected:
                 problems.append(f"participant {name}, {task.name}: {len(kept)} answers on disk, {len(expected)} given")
         browser.close()
-    return problems, count, killed, reloads, refused
+    return {"number": number, "problems": problems, "answers": count, "killed": killed, "reloads": reloads,
+            "late_answers_of_second_windows": refused, "seconds": time.perf_counter() - began}  # fmt: skip
 
 
 def sitting(browser, study, name, task, order, said, moments, mind, number):  # type: ignore[no-untyped-def]

@@ -26,7 +26,7 @@ from scipy.optimize import least_squares
 from forearm_fem.layered import Disc, Layer, Surface, layered_compliance
 from forearm_fem.metrics import fit_waves
 from forearm_fem.questions.predict.draws import FASCIA, SOFT, Prior, fascia_parameters, law_parameters, wide_priors
-from forearm_fem.tissue import KelvinVoigt, Modulus, SpringPot, Zener
+from forearm_fem.tissue import LAWS, Law
 from forearm_fem.typing import FloatArray
 
 FILE = Path(__file__).resolve().parents[1] / "forearm_fem" / "tissue_laws.json"
@@ -94,10 +94,10 @@ LINE = tuple(Disc(x, 0.0) for x in np.linspace(5e-3, 15e-3, 5))
 BALL, PLATE = Disc(0.0, 0.0, 1.5e-3), Disc(0.0, 0.0, math.sqrt(0.5e-4 / math.pi), "bonded")
 
 
-def modulus(parameters: Mapping[str, Any]) -> Modulus:
+def modulus(parameters: Mapping[str, Any]) -> Law:
     """The modulus that a scenario's override would give."""
     p = {key: value for key, value in parameters.items() if key != "law"}
-    return {"kelvin-voigt": KelvinVoigt, "zener": Zener, "springpot": SpringPot}[parameters["law"]](**p)
+    return LAWS[parameters["law"]](**p)
 
 
 def predicted(law: str, inputs: Mapping[str, Prior], z: FloatArray) -> FloatArray:
@@ -117,7 +117,7 @@ def predicted(law: str, inputs: Mapping[str, Prior], z: FloatArray) -> FloatArra
     return np.array([_one(d, moduli.get(d.tissue), speed, stiffness) for d in DATA])
 
 
-def _one(datum: Datum, law: Modulus | None, speed: Mapping[float, float], stiffness: float) -> float:
+def _one(datum: Datum, law: Law | None, speed: Mapping[float, float], stiffness: float) -> float:
     if law is None:
         return speed[datum.frequency] if datum.what == "speed" else stiffness
     value = complex(law.at(2 * np.pi * datum.frequency))

@@ -14,6 +14,7 @@ _MARKS = (
 )
 _PACKED = ((b"\x1f\x8b", "gzip"), (b"BZh", "bzip2"), (b"\xfd7zXZ\x00", "xz"), (b"7z\xbc\xaf", "7-Zip"))
 _POINTER = re.compile(rb"version https?://[^\n]*(git-lfs|hawser)[^\n]*\n(?:.*\n)*?size (\d+)")
+_LINK = re.compile(rb"(\.\.?/)+[^\0\n]+\.\w+\n?")
 _LONGEST_POINTER = 1024  # bytes
 
 
@@ -24,6 +25,9 @@ def stand_in(content: bytes) -> str:
         return f"is a Git LFS pointer to {int(pointer[2])} bytes, not the file itself; fetch it with `git lfs pull`"
     if len(content) < _LONGEST_POINTER and b"annex/objects/" in head:
         return "is a git-annex pointer, not the file itself; fetch it with `git annex get`"
+    if len(content) < _LONGEST_POINTER and _LINK.fullmatch(head):
+        path = head.decode(errors="replace").strip()[-60:]
+        return f"holds only the path '{path}': a symbolic link that git wrote as text; copy that file here"
     if not content.strip(b"\0 \r\n\t"):
         return "is empty" if not content else f"holds {len(content)} bytes of nothing (zeros or blanks); copy it again"
     lower = head[:200].lower()

@@ -1,8 +1,8 @@
 """Tissues: complex shear moduli mu*(omega), density, bulk modulus, and five sourced presets.
 
 Time dependence e^{+i omega t}, so a passive tissue has Im mu*(omega) >= 0 for omega > 0 and
-mu*(-omega) = conj mu*(omega). Every modulus is a small frozen class with the same two methods. Not
-covered: anisotropy and pre-stress (the skin's pre-stress is a membrane term, ``scenario.tissues``).
+mu*(-omega) = conj mu*(omega). A law is one small class, which says all that is known of it. Not covered: anisotropy and
+pre-stress (the skin's pre-stress is a membrane term, ``scenario.tissues``).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from importlib.resources import files
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,48 +21,68 @@ from scipy.special import binom
 
 from .errors import ScenarioError
 from .scenario.limb import tissue_keys
+from .scenario.tissues import TissueOverride
 from .typing import ComplexArray, FloatArray
 from .usercode import named
 
 if TYPE_CHECKING:
     from .scenario import Scenario
-    from .scenario.tissues import TissueOverride
 
 
-class Modulus(Protocol):
-    """A complex shear modulus as a function of angular frequency."""
-
-    def at(self, omega: ArrayLike) -> ComplexArray:
-        """mu*(omega) [Pa], of omega's shape; omega [rad/s]."""
-        ...
-
-    def taylor(self, omega0: float, n: int) -> ComplexArray:
-        """Coefficients c (n + 1,) of mu*(omega0 + d) = sum_k c_k d^k [Pa s^k]."""
-        ...
+REFERENCE = 150.0  # Hz at which the size of a springpot's modulus is drawn
 
 
 class Law:
-    """Base of a law of one's own: a frozen dataclass whose fields are its parameters, with ``at``.
+    """A complex shear modulus as a function of frequency: a frozen dataclass whose fields are its parameters.
 
-    ``at`` must take complex omega, and be smooth about every positive one. ``problem`` may say, as "key: sentence", why
-    its parameters cannot be.
+    A law of one's own gives ``at``, which must take complex omega and be smooth about every positive one. ``drawn``
+    says how arms differ: of "skin", "fat" and "muscle" the centre of each input, and the factor of one standard
+    deviation; without it `predict` does not draw the law. Inputs are the parameters, unless ``of_inputs`` says more.
     """
 
-    problem = ""
+    drawn: ClassVar[Mapping[str, Mapping[str, tuple[float, float]]]] = MappingProxyType({})
+
+    @property
+    def problem(self) -> str:
+        """Why the parameters cannot be, as "key: sentence"; empty where they can."""
+        return ""
 
     def at(self, omega: ArrayLike) -> ComplexArray:
         """mu*(omega) [Pa], of omega's shape; omega [rad/s]."""
         raise NotImplementedError
 
     def taylor(self, omega0: float, n: int) -> ComplexArray:
-        """Coefficients (n + 1,) about ``omega0`` [rad/s] by Cauchy's integral on a circle of 0.3 omega0."""
+        """Coefficients c (n + 1,) of mu*(omega0 + d) = sum_k c_k d^k [Pa s^k], by Cauchy's integral on a circle of 0.3
+        omega0."""
         radius, count = 0.3 * (abs(omega0) or 1.0), 8 * (n + 2)
         circle = np.exp(2j * np.pi * np.arange(count) / count)
         return np.asarray(np.fft.fft(self.at(omega0 + radius * circle))[: n + 1] / count / radius ** np.arange(n + 1))
 
+    @classmethod
+    def of_inputs(cls, inputs: Mapping[str, float]) -> Law:
+        """The law of an arm with these ``inputs``."""
+        return cls(**inputs)
+
+    @classmethod
+    def near(cls, other: Law, omega: float, stiff: float, viscous: float, place: float) -> Law:
+        """A law ``stiff`` and ``viscous`` times ``other``, as that is at ``omega`` [rad/s]; ``place`` (0 to 1) among
+        what else it has. Of the laws of :class:`forearm_fem.engines.parametric.Ranges`."""
+        raise NotImplementedError
+
+    def below(self, parameter: str) -> float:
+        """Bound that a parameter must stay below while the others are kept."""
+        return math.inf
+
+    def stated(self, name: str) -> dict[str, Any]:
+        """Keys of ``[tissues.override.T]`` for this law, which is called ``name``."""
+        numbers = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+        own = {key: value for key, value in numbers.items() if key not in TissueOverride.model_fields}
+        keys = {key: value for key, value in numbers.items() if key not in own}
+        return {"law": name, **keys, **({"parameters": own} if own else {})}
+
 
 @dataclass(frozen=True)
-class KelvinVoigt:
+class KelvinVoigt(Law):
     """Spring and dashpot in parallel: mu* = mu + i omega eta; loss grows without bound: fit in-band only."""
 
     mu: float
@@ -76,9 +96,15 @@ class KelvinVoigt:
         """Coefficients (n + 1,) about ``omega0`` [rad/s]: mu*(omega0), i eta, 0, ..."""
         return np.array([self.mu + 1j * omega0 * self.eta, 1j * self.eta, *[0] * n], dtype=complex)[: n + 1]
 
+    @classmethod
+    def near(cls, other: Law, omega: float, stiff: float, viscous: float, _: float) -> KelvinVoigt:
+        """See :class:`Law`."""
+        modulus = complex(other.at(omega))
+        return cls(getattr(other, "mu", modulus.real) * stiff, modulus.imag / omega * viscous)
+
 
 @dataclass(frozen=True)
-class SpringPot:
+class SpringPot(Law):
     """Fractional element mu* = mu^(1-a) (i omega eta)^a with 0 < a < 1: constant loss angle a pi/2.
 
     Klatt 2010 gives mu and a for eta = 1 Pa s (physics_data.md 1.2). Zero and not smooth at omega = 0.
@@ -106,9 +132,23 @@ class SpringPot:
         k = np.arange(n + 1)
         return np.asarray(self.at(omega0) * binom(self.exponent, k) / float(omega0) ** k)
 
+    @classmethod
+    def of_inputs(cls, inputs: Mapping[str, float]) -> SpringPot:
+        """From its size |mu*| [Pa] at 150 Hz, and its exponent."""
+        exponent = inputs["exponent"]
+        size = inputs["size"] / (2 * math.pi * REFERENCE) ** exponent
+        return cls(size ** (1 / (1 - exponent)), exponent)
+
+    @classmethod
+    def near(cls, other: Law, omega: float, stiff: float, _: float, place: float) -> SpringPot:
+        """See :class:`Law`; ``place`` among exponents."""
+        exponent = float(np.interp(place, [0, 1], (0.15, 0.45)))
+        size = (abs(complex(other.at(omega))) * stiff / omega**exponent) ** (1 / (1 - exponent))
+        return cls(float(size), exponent)
+
 
 @dataclass(frozen=True)
-class Zener:
+class Zener(Law):
     """Standard linear solid: mu* = mu + i omega eta / (1 + i omega tau), tau = eta / (mu_infinity - mu) [s].
 
     A spring mu beside a spring (mu_infinity - mu) in series with a dashpot eta; bounded at high frequency.
@@ -141,9 +181,25 @@ class Zener:
         series = -(self.mu_infinity - self.mu) / pole * (-1j * self.relaxation_time / pole) ** k
         return np.asarray(np.where(k == 0, self.mu_infinity + series, series))
 
+    @classmethod
+    def of_inputs(cls, inputs: Mapping[str, float]) -> Zener:
+        """From mu [Pa], its stiffening mu_infinity/mu - 1 and its relaxation 1/(2 pi tau) [Hz]."""
+        mu, rise = inputs["mu"], inputs["mu"] * inputs["stiffening"]
+        return cls(mu, mu + rise, rise / (2 * math.pi * inputs["relaxation"]))
+
+    def below(self, parameter: str) -> float:
+        """See :class:`Law`: mu stays below mu_infinity."""
+        return 0.999 * self.mu_infinity if parameter == "mu" else math.inf
+
+    @classmethod
+    def near(cls, other: Law, omega: float, stiff: float, viscous: float, place: float) -> Zener:
+        """See :class:`Law`; ``place`` among ratios of mu_infinity to mu."""
+        soft, (low, high) = KelvinVoigt.near(other, omega, stiff, viscous, place), (1.3, 4.0)
+        return cls(soft.mu, soft.mu * low * (high / low) ** place, soft.eta)
+
 
 @dataclass(frozen=True)
-class Hysteretic:
+class Hysteretic(Law):
     """Constant loss factor: mu* = mu (1 + i loss sign(omega)); used for bone."""
 
     mu: float
@@ -167,7 +223,7 @@ class Tissue:
 
     name: str
     density: float
-    modulus: Modulus
+    modulus: Law
     bulk: float = math.inf
 
     @property
@@ -252,22 +308,22 @@ def resolve_tissues(scenario: Scenario) -> Mapping[str, Tissue]:
     return result
 
 
-LAWS: Mapping[str, type[Modulus]] = MappingProxyType(
+LAWS: Mapping[str, type[Law]] = MappingProxyType(
     {"kelvin-voigt": KelvinVoigt, "springpot": SpringPot, "zener": Zener, "hysteretic": Hysteretic}
 )
 
 
-def law(model: str) -> type[Modulus]:
+def law(model: str) -> type[Law]:
     """The class of the law ``model``: one of :data:`LAWS`, or the user's own by ``module:Name``.
 
-    ScenarioError where it is no dataclass with an ``at``.
+    ScenarioError where it is no dataclass that inherits from :class:`Law`.
     """
     if model in LAWS:
         return LAWS[model]
     found = named(model, "tissues.override: law")
-    if not is_dataclass(found) or not hasattr(found, "at") or not hasattr(found, "taylor"):
+    if not is_dataclass(found) or not isinstance(found, type) or not issubclass(found, Law):
         raise ScenarioError(f"tissues.override: {model} is no law; write a frozen dataclass that inherits from Law")
-    return found  # type: ignore[return-value]
+    return found
 
 
 def _parameters(model: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -299,8 +355,8 @@ def _overridden(name: str, record: TissueRecord | None, override: TissueOverride
     if missing := [key for key in ("density", "bulk", *needed) if key not in v]:
         raise ScenarioError(f"{path}: a {model} tissue stated anew also needs {', '.join(missing)}")
     found = _tissue(name, model, v)
-    if problem := getattr(found.modulus, "problem", ""):
-        raise ScenarioError(f"{path}.{problem}")
+    if found.modulus.problem:
+        raise ScenarioError(f"{path}.{found.modulus.problem}")
     return found
 
 

@@ -146,9 +146,9 @@ def gmsh_named(folder: Path) -> None:
 LOWER_BLOCK, UPPER_BLOCK = ((np.flatnonzero(part) + 1, TETRA[part] + 1) for part in (~UPPER, UPPER))
 
 
-def abaqus_text(*blocks: tuple[str, Any]) -> str:
+def abaqus_text(*blocks: tuple[str, Any], shift: float = 0.0) -> str:
     """Nodes of the block and elements under each keyword of ``blocks``, whose (numbers, nodes) follow it."""
-    nodes = "".join(f"{k}, {x:.9g}, {y:.9g}, {z:.9g}\n" for k, (x, y, z) in enumerate(CORNERS, start=1))
+    nodes = "".join(f"{k}, {x + shift:.9g}, {y:.9g}, {z:.9g}\n" for k, (x, y, z) in enumerate(CORNERS, start=1))
     cells = "".join(
         f"*ELEMENT, {head}\n" + "".join(f"{e}, {', '.join(map(str, t))}\n" for e, t in zip(*block, strict=True))
         for head, block in blocks
@@ -157,6 +157,7 @@ def abaqus_text(*blocks: tuple[str, Any]) -> str:
 
 
 PLAIN = abaqus_text(("TYPE=C3D4, ELSET=lower", LOWER_BLOCK), ("TYPE=C3D4, ELSET=upper", UPPER_BLOCK))
+MOVED = abaqus_text(("TYPE=C3D4, ELSET=lower", LOWER_BLOCK), ("TYPE=C3D4, ELSET=upper", UPPER_BLOCK), shift=-0.01)
 SPLIT = tuple((half[0][:n], half[1][:n]) for half, n in ((LOWER_BLOCK, 100),))
 REST_OF_IT = (LOWER_BLOCK[0][100:], LOWER_BLOCK[1][100:])
 
@@ -260,11 +261,16 @@ MESHES = (
     ),
     of_abaqus(
         "Abaqus, an instance that is moved",
-        abaqus(f"*PART, NAME=arm\n{PLAIN}*END PART\n*INSTANCE, NAME=i, PART=arm\n0.01, 0, 0\n*END INSTANCE\n"),
-        "*INSTANCE moves",
-        "without parts",
+        abaqus(f"*PART, NAME=arm\n{MOVED}*END PART\n*INSTANCE, NAME=i, PART=arm\n0.01, 0, 0\n*END INSTANCE\n"),
     ),
-    of_abaqus("Abaqus, two parts", abaqus("*PART\n" + PLAIN + "*PART\n" + PLAIN), "several parts"),
+    of_abaqus(
+        "Abaqus, two parts that nothing places",
+        abaqus(f"*PART, NAME=a\n{PLAIN}*END PART\n*PART, NAME=b\n{PLAIN}*END PART\n"), "2 parts and no *INSTANCE",
+    ),
+    of_abaqus(
+        "Abaqus, a part that is elsewhere",
+        abaqus(f"*PART, NAME=a\n{PLAIN}*END PART\n*INSTANCE, NAME=i, PART=b\n*END INSTANCE\n"), "the part 'b'",
+    ),
     of_abaqus("Abaqus, nodes of a system", abaqus("*SYSTEM\n0, 0, 1\n" + PLAIN), "*SYSTEM", "in x, y, z"),
     of_abaqus("Abaqus, included files", abaqus("*INCLUDE, INPUT=more.inp\n", more=PLAIN)),
     of_abaqus(

@@ -17,7 +17,7 @@ from bad_files import CORNERS, TETRA
 from bad_meshes import NUMBERS, REST
 from cli_runner import cli
 from lab_files import tdms, uff
-from scipy.io import wavfile
+from scipy.io import savemat, wavfile
 from test_measurement_scene import INPUTS, OUTPUTS, device_for, part, plan_for, wave_matrix
 
 from forearm_fem import files
@@ -25,6 +25,7 @@ from forearm_fem.contents import text_of
 from forearm_fem.errors import AccuracyWarning, DataError, ForearmError, GeometryError, MeshError
 from forearm_fem.files import Declaration, RecognitionWarning
 from forearm_fem.geometry.device.layout import layout_of, planform_ports
+from forearm_fem.geometry.mesh.files import read_quietly
 from forearm_fem.geometry.mesh.quality import mesh_quality
 from forearm_fem.geometry.user.meshes import user_mesh
 from forearm_fem.geometry.user.surfaces import read_surfaces
@@ -257,6 +258,9 @@ def sweeps(folder: Path, kind: str) -> Path:
         step = 1 / taken.sample_rate
         if kind == "tdms":
             tdms(file, {"drive": drive, "laser": response}, taken.sample_rate)
+        elif kind == "mat":
+            clock = np.arange(len(drive))[:, None] * step
+            savemat(file, {"t": clock, "drive": drive[:, None], "laser": response, "note": "x"})
         elif kind == "wav":
             wavfile.write(file, round(taken.sample_rate), np.column_stack([drive, response]))
         elif kind == "csv":
@@ -274,7 +278,7 @@ def sweeps(folder: Path, kind: str) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("kind", ["tdms", "wav", "csv", "lvm"])
+@pytest.mark.parametrize("kind", ["tdms", "wav", "csv", "lvm", "mat"])
 def test_a_folder_of_raw_sweeps_becomes_its_g(tmp_path, kind):
     """The virtual lab's own G, which the sweeps were played through; without noise an estimator is exact to rounding
     of the file's digits."""
@@ -287,6 +291,32 @@ def test_a_folder_of_raw_sweeps_becomes_its_g(tmp_path, kind):
     known = g.valid
     assert known.mean() > 0.9
     assert np.abs(g.values - truth)[known].max() < 2e-3 * np.abs(truth).max()  # the virtual converter has 16 bits
+
+
+def test_sweeps_in_newtons_and_millimetres_a_second_need_no_sensor(tmp_path):
+    """The same sweeps scaled by the lab: what a volt means is then the file's; a force makes m/N of m/V."""
+    sensor = LAB.measurement.sensor
+    assert sensor.quantity == "velocity"
+    volts, scaled = sweeps(tmp_path / "volts", "tdms"), tmp_path / "scaled"
+    scaled.mkdir()
+    for file in volts.iterdir():
+        channels = {c.split("/")[1]: w.samples for c, w in files.sweeps.waveforms(file, Declaration()).items()}
+        clock = np.arange(len(channels["drive"])) / LAB.sweep.sample_rate
+        columns = np.column_stack([clock, channels["drive"], channels["laser"] / sensor.sensitivity * 1e3])
+        header = "time,force [N],laser (mm/s)"
+        np.savetxt(scaled / f"{file.stem}.csv", columns, "%.17g", ",", header=header, comments="")
+    bare = LAB.changed({"measurement.sensor.sensitivity": None, "measurement.sensor.quantity": None})
+    said = Declaration(drive="sweep/drive", response="sweep/laser")
+    own = Declaration(drive="force [N]", response="laser (mm/s)")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecognitionWarning)
+        expected, g = files.read(volts, said, scenario=LAB), files.read(scaled, own, scenario=bare)
+        with pytest.raises(DataError, match="its response is velocity by its unit"):
+            files.read(scaled, own, scenario=LAB.changed({"measurement.sensor.quantity": "displacement"}))
+        with pytest.raises(DataError, match=r"'laser \(mm/s\)' is in 'mm/s', expected volts or newtons"):
+            files.read(scaled, own.model_copy(update={"drive": "laser (mm/s)"}), scenario=bare)
+    assert (expected.unit, g.unit) == ("m/V", "m/N")
+    assert np.allclose(g.values, expected.values, rtol=1e-9, equal_nan=True)  # clocks are printed in 17 digits
 
 
 def test_sweeps_that_begin_in_silence_say_so(tmp_path):
@@ -411,6 +441,65 @@ def test_a_frame_that_nastran_states_is_applied_or_refused(tmp_path):
         taken(tmp_path / "limb.bdf")
 
 
+BRICK = np.array([[0, 0, 0], [30, 0, 0], [0, 20, 0], [0, 0, 10], [30, 20, 10]], float)
+HALVES = ((1, 2, 3, 4), (2, 4, 3, 5))  # 1000 mm3 and 2000 mm3
+
+
+def test_instances_of_abaqus_stand_where_the_assembly_places_them(tmp_path):
+    """One part twice, shifted, then turned about an axis that lies elsewhere; sets of the assembly, and in capitals."""
+    nodes = "".join(f"{k}, {x}, {y}, {z}\n" for k, (x, y, z) in enumerate(BRICK.tolist(), start=1))
+    cells = "".join(f"{k}, {', '.join(map(str, c))}\n" for k, c in enumerate(HALVES, start=1))
+    (tmp_path / "two.inp").write_text(
+        f"*HEADING\n*PART, NAME=Tissue\n*NODE\n{nodes}*ELEMENT, TYPE=C3D4, ELSET=all\n{cells}*ELSET, ELSET=First\n1,\n"
+        "*END PART\n*ASSEMBLY, NAME=a\n*INSTANCE, NAME=near, PART=TISSUE\n*END INSTANCE\n"
+        "*INSTANCE, NAME=far, PART=Tissue\n100., 0., 0.\n100., 50., 0., 100., 50., 7., 90.\n*END INSTANCE\n"
+        "*NODE\n1, 9., 9., 9.\n*ELSET, ELSET=skin, INSTANCE=far\n2,\n*ELSET, ELSET=skin, INSTANCE=near\nfirst\n"
+        "*ELSET, ELSET=both\nskin\n*END ASSEMBLY\n"
+    )
+    mesh = read_quietly(tmp_path / "two.inp")
+    x, y, z = BRICK.T
+    turned = np.column_stack([100 - (y - 50), 50 + x, z])  # by a right angle about (100, 50): (dx, dy) -> (-dy, dx)
+    assert np.allclose(mesh.points, np.vstack([BRICK, turned]), atol=1e-12)
+    found = {name: np.concatenate(list(members)).tolist() for name, members in mesh.cell_sets.items()}
+    assert found == {"all": [0, 1, 2, 3], "First": [0, 2], "near": [0, 1], "far": [2, 3], "skin": [0, 3],
+                     "both": [0, 3]}  # fmt: skip
+    assert [c.tolist() for c in mesh.cells[0].data[2:]] == [[n + 4 for n in c] for c in HALVES]
+
+
+def test_gmsh_in_binary_keeps_all_groups_of_a_volume(tmp_path):
+    """Version 4.1 with two volumes, both in the group "all"; meshio alone keeps the first group."""
+    four, box = struct.Struct("<i").pack, struct.pack("<6d", 0, 0, 0, 1, 1, 1)
+
+    def many(*numbers: int) -> bytes:
+        return struct.pack(f"<Q{len(numbers)}i", len(numbers), *numbers)
+
+    def volume(number: int, *groups: int) -> bytes:
+        return four(number) + box + many(*groups) + many(5)
+
+    entities = struct.pack("<4Q", 1, 0, 1, 2) + four(1) + box[:24] + many() + four(5) + box + many(9) + many()
+    entities += volume(1, 3, 1) + volume(2, 3, 2)
+    counts, nodes = struct.Struct("<4Q").pack, np.arange(1, len(CORNERS) + 1)
+    block = struct.pack("<3iQ", 3, 1, 0, len(nodes)) + nodes.astype("<u8").tobytes()
+    block += CORNERS.astype("<f8").tobytes()
+    cells, start = b"", 1
+    for region in (1, 2):
+        own = TETRA[region == NUMBERS] + 1
+        rows = np.column_stack([np.arange(start, start + len(own)), own]).astype("<u8")
+        cells, start = cells + struct.pack("<3iQ", 3, region, 4, len(own)) + rows.tobytes(), start + len(own)
+    names = '4\n2 9 "skin"\n3 3 "all"\n3 1 "lower"\n3 2 "upper"\n'
+    sections = {
+        "MeshFormat": b"4.1 1 8\n" + four(1), "PhysicalNames": names.encode(), "Entities": entities,
+        "Nodes": counts(1, len(nodes), 1, len(nodes)) + block, "Elements": counts(2, len(TETRA), 1, len(TETRA)) + cells,
+    }  # fmt: skip
+    (tmp_path / "limb.msh").write_bytes(b"".join(
+        f"${k}\n".encode() + v + (b"" if k == "PhysicalNames" else b"\n") + f"$End{k}\n".encode()
+        for k, v in sections.items()))  # fmt: skip
+    found = taken(tmp_path / "limb.msh", regions={"lower": "muscle", "upper": "fat"})
+    assert mesh_quality(found).volumes == pytest.approx({"muscle": 64e-6, "fat": 64e-6}, rel=1e-9)
+    one = taken(tmp_path / "limb.msh", regions={"all": "muscle"})
+    assert mesh_quality(one).volumes == pytest.approx({"muscle": 128e-6}, rel=1e-9)
+
+
 def vtu(file: Path, **data: Any) -> Path:
     grid = pyvista.UnstructuredGrid({10: TETRA}, CORNERS)
     for name, values in data.items():
@@ -434,6 +523,9 @@ def test_regions_by_an_array_by_its_name_and_one_tissue_for_all(tmp_path):
     assert mesh_quality(named).volumes == pytest.approx({"muscle": 64e-6, "fat": 64e-6}, rel=1e-9)
 
 
+VTK = b"# vtk DataFile Version 3.0\nx\nASCII\nDATASET UNSTRUCTURED_GRID\n"
+
+
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
@@ -442,6 +534,13 @@ def test_regions_by_an_array_by_its_name_and_one_tissue_for_all(tmp_path):
         ("limb.step", b"ISO-10303-21;", "CAD"),
         ("limb.vtu", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n", "Git LFS pointer"),
         ("limb.bdf", b"GRID,1,,x,0.,0.\n", "'x' in field 4"),
+        ("limb.e", b"../meshes/limb.e\n", "a symbolic link that git wrote as text"),
+        ("limb.g", b"facet 1 2 3\n", "'.g' is no kind of mesh that is known"),
+        ("limb.msh", b"*HEADING\n*NODE\n1, 0., 0.\n*ELEMENT, TYPE=C3D8\n1,1,1,1,1,1,1,1,1\n", "of the type C3D8"),
+        ("limb.vtk", VTK + b"POINTS 3 float\n0 0 0 1 0 0 0 1 0\nCELLS 1 4\n3 0 1 2\nCELL_TYPES 1\n7\n",
+         "no tetrahedra, but lines or surfaces"),
+        ("limb.vtk", VTK + b"POINTS 4 float\n0 0 0 1 0 0 0 1 0 0 0 1\nCELLS 1 5\n4 0 1 2 3\nCELL_TYPES 1\n71\n",
+         "contains lagrange tetrahedron cells"),
     ],
 )
 def test_what_is_no_mesh_is_told_apart(tmp_path, name, content, said):
@@ -538,7 +637,7 @@ def test_frequencies_printed_in_six_digits_are_on_their_bins():
 
 
 # ---------------------------------------------------------------- extras
-def exodus(file: Path) -> None:
+def exodus(file: Path, kind: str = "TETRA4") -> None:
     """Two blocks as Cubit writes them, with names."""
     netcdf = pytest.importorskip("netCDF4")
     with netcdf.Dataset(file, "w", format="NETCDF3_64BIT_OFFSET") as out:
@@ -553,8 +652,15 @@ def exodus(file: Path) -> None:
             cells = TETRA[k + 1 == NUMBERS]
             out.createDimension(f"n{k}", len(cells))
             block = out.createVariable(f"connect{k + 1}", "i4", (f"n{k}", "four"))
-            block.elem_type = "TETRA4"
+            block.elem_type = kind
             block[:] = cells + 1
+
+
+@pytest.mark.parametrize(("kind", "said"), [("HEX8", "contains hex8 cells"), ("SHELL4", "only shell4")])
+def test_blocks_of_exodus_that_are_no_tetrahedra_are_named(tmp_path, kind, said):
+    exodus(tmp_path / "limb.g", kind)
+    with pytest.raises(MeshError, match=said):
+        taken(tmp_path / "limb.g")
 
 
 @pytest.mark.parametrize("regions", [{"lower": "muscle", "upper": "fat"}, {"10": "muscle", "20": "fat"}])

@@ -51,30 +51,21 @@ def test_errors_are_distances_and_training_is_left_out():
         with_errors(table.assign(target="12"), GRID)
 
 
-def test_ellipses_recover_mean_and_covariance():
-    """9,000 answers about (2, -1) mm with a known covariance: four standard errors of their estimates."""
-    rng, n = np.random.default_rng(3), 9000
-    true = np.array([[9.0, 4.0], [4.0, 16.0]]) * 1e-6
-    xy = rng.multivariate_normal([2e-3, -1e-3], true, size=n)
-    table = pd.DataFrame({"target": "5", "method": "m", "response_x": xy[:, 0], "response_y": xy[:, 1]})
-    (found,) = ellipses(table)
-    assert found.mean == pytest.approx([2e-3, -1e-3], abs=4 * 4e-3 / np.sqrt(n))
-    assert np.isnan(found.within).all()  # nobody's
-    assert found.covariance == pytest.approx(true, abs=4 * 16e-6 * np.sqrt(2 / n))
-
-
-def test_ellipses_of_persons_and_within_them():
+def test_ellipses_of_all_of_persons_and_within_them():
     """Two people 10 mm apart, each with the same four answers about an own mean: within, only these are left."""
     square = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) * 1e-3
     rows = [(who, xy[0] + away, xy[1]) for who, away in (("a", 0.0), ("b", 10e-3)) for xy in square]
     table = pd.DataFrame(rows, columns=["participant", "response_x", "response_y"]).assign(target="5", method="m")
-    (pooled,) = ellipses(table)
-    assert pooled.within == pytest.approx(np.eye(2) * 8e-6 / 6)  # eight squares of 1 mm, two means
-    assert pooled.covariance[0, 0] == pytest.approx((8e-6 + 8 * 25e-6) / 7)
-    each = ellipses(table, by_participant=True)
-    assert [(e.participant, e.count) for e in each] == [("a", 4), ("b", 4)]
-    assert each[1].mean == pytest.approx([10e-3, 0])
-    assert each[0].covariance == pytest.approx(np.eye(2) * 4e-6 / 3)
+    found = ellipses(table).set_index("participant")
+    assert found["trials"].to_dict() == {"all": 8, "a": 4, "b": 4}
+    whole = found.loc["all"]
+    assert [whole[f"within_{k}_m2"] for k in ("var_x", "var_y", "cov_xy")] == pytest.approx(
+        [8e-6 / 6, 8e-6 / 6, 0.0]
+    )  # eight squares of 1 mm, two means
+    assert whole["var_x_m2"] == pytest.approx((8e-6 + 8 * 25e-6) / 7)
+    assert found.loc["b", ["mean_x_m", "mean_y_m"]].tolist() == pytest.approx([10e-3, 0])
+    assert found.loc["a", ["var_x_m2", "var_y_m2", "cov_xy_m2"]].tolist() == pytest.approx([4e-6 / 3, 4e-6 / 3, 0])
+    assert np.isnan(ellipses(table[:1])["var_x_m2"]).all()  # one answer has no scatter
 
 
 def test_precision_is_the_scatter_about_a_persons_own_mean():
@@ -95,29 +86,30 @@ def test_missing_cells_leave_a_participant_out_and_are_said():
     tests = analyse(lacking, "error")
     assert (tests.left_out, len(tests.participants)) == (("03",), 5)
     assert any("03" in note for note in tests.notes)
-    assert tests.effects[0].df_error == 8 * 4
+    assert tests.anova["df_error"][0] / tests.anova["epsilon_gg"][0] == pytest.approx(8 * 4)
 
 
 def test_the_plan_of_the_study_is_what_is_done_and_stands_on_the_page(tmp_path):
     """Holm or Bonferroni, Greenhouse-Geisser or Huynh-Feldt, and a digest that changes with each."""
-    table = answers(people=5, methods=("a", "b", "c")).assign(late=0, response_time=1.0, date="2026-11-24")
+    table = answers(people=5, methods=("a", "b", "c")).assign(response_time=1.0, date="2026-11-24")
     main = with_errors(table, GRID)
     main["error"] -= 8e-3 * (main["method"] == "a")
     holm, bonferroni = (analyse(main, "error", Analysis(correction=c)) for c in ("holm", "bonferroni"))
-    assert [p.p for p in holm.at_targets] != [p.p for p in bonferroni.at_targets]
-    assert len(holm.at_targets) == 27
+    assert (holm.pairs["p"] <= bonferroni.pairs["p"]).all()
+    assert (holm.pairs["p"] < bonferroni.pairs["p"]).any()
+    assert (holm.pairs["where"] != "").sum() == 27
     assert len({Analysis().digest, Analysis(correction="bonferroni").digest, Analysis(alpha=0.01).digest}) == 3
     plan = Analysis(sphericity="Huynh-Feldt", correction="bonferroni")
     study = Study(name="s", scenario="x", tasks=(Task(name="t"),), analysis=plan)
     page = write_analysis(study, {"t": table}, GRID, tmp_path).read_text()
     assert f"Plan {plan.digest}, fixed in study.json before the first answer (2026-11-24): Huynh-Feldt" in page
-    effect = analyse(with_errors(table, GRID), "error", plan).effects[0]
+    effect = analyse(with_errors(table, GRID), "error", plan).anova.iloc[0]
     row = pd.read_csv(tmp_path / "analysis" / "t-error-anova.csv").iloc[0]
-    assert row["df"] == pytest.approx(min(effect.hf, 1) * 8)
+    assert row["df"] == pytest.approx(effect["epsilon_hf"] * 8)
 
 
 def test_methods_that_are_not_equally_strong_are_a_warning_first_on_the_page(tmp_path):
-    table = answers(people=2, repetitions=1).assign(late=0, response_time=1.0)
+    table = answers(people=3, repetitions=1).assign(response_time=1.0)
     table = table[table["target"] == "5"]
     study = Study(name="s", scenario="x", tasks=(Task(name="t"),))
     for apart in (0.5, 3.0):
@@ -137,7 +129,7 @@ def test_methods_that_are_not_equally_strong_are_a_warning_first_on_the_page(tmp
 def test_r_says_the_same(tmp_path, sphericity):
     """The scripts beside the page, run as they are: F, corrected df and p, effect sizes, differences and intervals."""
     # of 17 people or fewer R tells no epsilon of the interaction's 16 contrasts, and corrects nothing, saying so
-    table = answers(people=18, repetitions=3, methods=("a", "b", "c")).assign(late=0, response_time=1.0)
+    table = answers(people=18, repetitions=3, methods=("a", "b", "c")).assign(response_time=1.0)
     plan = Analysis(sphericity=sphericity, correction="bonferroni" if sphericity == "Huynh-Feldt" else "holm")
     study = Study(name="s", scenario="x", tasks=(Task(name="t"),), analysis=plan)
     folder = write_analysis(study, {"t": table}, GRID, tmp_path).parent
@@ -150,6 +142,11 @@ def test_r_says_the_same(tmp_path, sphericity):
                              "ges": "generalised_eta2"}.items():  # fmt: skip
             found = theirs.get(name, theirs.get(name.replace(" ", ".").replace("(>F)", "..F.")))
             assert found.to_numpy() == pytest.approx(ours[column].to_numpy(), rel=1e-7), name
+        for kind, column in (("mauchly", "w"), ("mauchly", "p"), ("normal", "W"), ("normal", "p")):
+            theirs = pd.read_csv(folder / f"t-{measure}-r-{kind}.csv")
+            own = pd.read_csv(folder / f"t-{measure}-{'anova' if kind == 'mauchly' else kind}.csv")
+            told = own[f"mauchly_{column}"] if kind == "mauchly" else own[column]
+            assert theirs[column].to_numpy() == pytest.approx(told.to_numpy(), rel=1e-7), (kind, column)
         ours, theirs = (pd.read_csv(folder / f"t-{measure}{k}.csv") for k in ("-pairs", "-r-pairs"))
         for name, column in {"estimate": "difference", "low": "low", "high": "high", "t.ratio": "t",
                              "p.corrected": "p"}.items():  # fmt: skip
@@ -166,13 +163,14 @@ def test_confusion_shares_add_up_and_split_answers_of_several_points():
 
 def test_repetitions_are_no_subjects():
     """Twice the repetitions leave the degrees of freedom alone: the thesis counted each as a subject."""
-    few, many = (analyse(with_errors(answers(repetitions=r), GRID), "error") for r in (1, 4))
-    assert [e.df_error for e in few.effects] == [e.df_error for e in many.effects] == [40.0, 5.0, 40.0]
+    for repetitions in (1, 4):
+        found = analyse(with_errors(answers(repetitions=repetitions), GRID), "error").anova
+        assert (found["df_error"] / found["epsilon_gg"]).tolist() == pytest.approx([40.0, 5.0, 40.0])
 
 
 def test_trials_without_an_answer_are_no_answers_of_no_points(tmp_path):
     """Four trials are silent; of these, and of answers that tell a place alone, no points are known."""
-    table = answers(people=3, repetitions=1).assign(late=0, response_time=1.0)
+    table = answers(people=3, repetitions=1).assign(response_time=1.0)
     target = table["target"].to_numpy()
     table["response"] = [f"{t} {u}" for t, u in zip(target, np.roll(target, 1), strict=True)]
     silent = table.index[table["target"].eq("4") & table["participant"].ne("02")]
@@ -192,18 +190,16 @@ def test_trials_without_an_answer_are_no_answers_of_no_points(tmp_path):
     assert page.count("<td>unknown</td>") >= 4
     assert "<td>0 %</td>" not in page
     assert not list(tmp_path.glob("analysis/*confusion*"))  # nor the one of the answers before
-    gone = main.assign(response_x=np.nan, response_y=np.nan)
-    assert all(np.isnan(e.mean).all() and e.count == 0 for e in ellipses(gone))
 
 
 @pytest.mark.parametrize("kept", [{"method": "funneling"}, {"target": "5"}, {"method": "funneling", "target": "5"}])
 def test_a_study_of_one_method_or_one_target_is_analysed_as_far_as_it_goes(tmp_path, kept):
-    table = answers(people=4, repetitions=3).assign(late=0, response_time=1.0)
+    table = answers(people=4, repetitions=3).assign(response_time=1.0)
     for column, value in kept.items():
         table = table[table[column] == value]
     tests = analyse(with_errors(table, GRID), "error")
-    assert tests.effects == ()
-    assert len(tests.methods) == ("method" not in kept)
+    assert tests.anova.empty
+    assert tests.pairs.empty == ("method" in kept)
     page = write_analysis(Study(name="s", scenario="x", tasks=(Task(name="t"),)), {"t": table}, GRID, tmp_path)
     assert "there is no two-way analysis" in page.read_text()
     assert all(len(f.read_text()) > 1 for f in page.parent.glob("*.csv"))
@@ -211,7 +207,7 @@ def test_a_study_of_one_method_or_one_target_is_analysed_as_far_as_it_goes(tmp_p
 
 
 def test_a_table_without_main_trials_is_a_sentence():
-    with pytest.raises(DataError, match="phase is 'main' in none of them, but test"):
+    with pytest.raises(DataError, match="all answers are to training"):
         with_errors(answers().assign(phase="test"), GRID)
 
 
@@ -282,9 +278,10 @@ def test_a_study_from_nothing_to_its_page_from_the_command_line(tmp_path):
         f.name for f in out.iterdir()
     }
     assert "04  confidence: 0 of 27" in run(app, ["study", "status", str(file)]).output
-    done = run(app, ["study", "power", str(file), "--least", "0.002", "--scatter", "0.004"])
-    assert "80 % from" in done.output
-    done = run(app, ["study", "power", str(file), "--answers", str(tmp_path / "answers"), "--task", "confidence"])
+    words = ["study", "power", str(file), "--answers", str(tmp_path / "answers"), "--task"]
+    done = run(app, [*words, "confidence"])
     assert "confidence, points, method: the pilot's effect" in done.output
-    refused = run(app, ["study", "power", str(file), "--least", "0.002"])
-    assert "expected --pilot FOLDER" in str(refused.exception)
+    done = run(app, [*words, "identification", "--least", "0.02"])
+    assert "80 % from" in done.output
+    refused = run(app, ["study", "power", str(file)])
+    assert "nobody has answered yet" in str(refused.exception)

@@ -1,4 +1,4 @@
-"""What a study leaves behind: tables that BIDS tools read, what played, and answers of strength and outlines."""
+"""What a study leaves behind: tables that BIDS tools read, what played, who takes part."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import os
 import shutil
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 
 import numpy as np
@@ -22,26 +24,23 @@ from forearm_fem.measurement.playback import Loopback  # noqa: E402
 from forearm_fem.measurement.sound import SoundCard  # noqa: E402
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions  # noqa: E402
 from forearm_fem.scenario.measurement import DaqOptions  # noqa: E402
-from forearm_fem.study.analysis import outline, with_errors  # noqa: E402
-from forearm_fem.study.devices import back_end  # noqa: E402
-from forearm_fem.study.plan import Stimuli, Task  # noqa: E402
+from forearm_fem.study.handover import answers  # noqa: E402
+from forearm_fem.study.plan import Order, Stimuli, Task  # noqa: E402
 from forearm_fem.study.report import write_analysis  # noqa: E402
-from forearm_fem.study.run import answers_of  # noqa: E402
-from forearm_fem.study.session import Given, Session  # noqa: E402
+from forearm_fem.study.run import _due, known_of  # noqa: E402
+from forearm_fem.study.session import Session  # noqa: E402
 from forearm_fem.study.store import StudyStore  # noqa: E402
 from forearm_fem.transfer import TransferMatrix  # noqa: E402
-
-SQUARE = np.array([[-5, -5], [5, -5], [5, 5], [-5, 5]]) * 1e-3
 
 
 @pytest.fixture
 def answered(tmp_path):
-    """Two participants, a task of points and one of outlines, each in two sittings; the first device is known."""
+    """Two participants, two tasks, each in two sittings; the device is known."""
     plan = study(
         stimuli=Stimuli(methods=("funneling", "combination"), targets=("1", "5", "9")),
         tasks=(
             Task(name="places", repetitions=2, blocks=2, training=0, break_seconds=0.0),
-            Task(name="drawn", answer="drawing", repetitions=2, blocks=1, training=0),
+            Task(name="several", answer="several points", repetitions=2, blocks=1, training=0),
         ),
     )
     store = StudyStore.open(tmp_path / "data", plan)
@@ -49,12 +48,13 @@ def answered(tmp_path):
         store.enrol(who, consent="2026-11-24")
         for task in plan.tasks:
             for _ in range(2):
-                _half(Session(store, who, task, GRID, silent, back_end=known()))
+                _half(Session(store, who, task, GRID, silent, columns=known()))
     return store
 
 
-def known():
-    return back_end(SoundCard(256, module=_Card()), DaqOptions(outputs=("1",)), 48e3, cable())
+def known(cable=True):
+    loop = Loopback(96.0, 0.97, 0.01, "sound card card", 48e3, "2026-11-24T10:00:00+00:00") if cable else None
+    return known_of(SoundCard(256, module=_Card()), DaqOptions(outputs=("1",)), 48e3, loop)
 
 
 class _Card:
@@ -62,17 +62,11 @@ class _Card:
         return {"name": "card"}
 
 
-def cable():
-    return Loopback(96.0, 0.97, 0.01, "sound card card", 48e3, "2026-11-24T10:00:00+00:00")
-
-
 def _half(session):
     for _ in range(6):
         session.start()
         session.present()
-        at = np.array(next(p.position[:2] for p in GRID if p.name == session.current.target))
-        drawn = session.task.answer == "drawing"
-        session.answer(Given(strokes=at + SQUARE) if drawn else Given(points=(session.current.target,)))
+        session.answer((session.current.target,))
 
 
 def test_tables_are_as_bids_wants_them(answered):
@@ -83,9 +77,9 @@ def test_tables_are_as_bids_wants_them(answered):
     assert sorted(people["participant_id"]) == sorted(p.name for p in root.glob("sub-*"))
     files = sorted(root.glob("sub-*/beh/*.tsv"))
     assert [f.name for f in files] == [
-        f"sub-{w}_task-{t}_events.tsv" for w in ("01", "02") for t in ("drawn", "places")
+        f"sub-{w}_task-{t}_events.tsv" for w in ("01", "02") for t in ("places", "several")
     ]
-    for file in [*files, root / "participants.tsv", root / "devices.tsv"]:
+    for file in [*files, root / "participants.tsv"]:
         table = pd.read_csv(file, sep="\t", dtype=str, keep_default_na=False)
         told = json.loads(file.with_suffix(".json").read_text(encoding="utf-8"))
         assert set(table) <= set(told)
@@ -99,7 +93,7 @@ def test_tables_are_as_bids_wants_them(answered):
     about = json.loads((root / "dataset_description.json").read_text())
     assert {"Name", "BIDSVersion", "DatasetType"} <= set(about)
     ignored = (root / ".bidsignore").read_text().split()
-    assert {"study.json", "devices.tsv"} <= set(ignored)
+    assert {"study.json", "stimuli/"} <= set(ignored)
 
 
 @pytest.mark.skipif(
@@ -107,7 +101,7 @@ def test_tables_are_as_bids_wants_them(answered):
 )
 def test_the_official_validator_finds_no_error(answered):
     """With an analysis and exported stimuli in the folder, and a column of the laboratory's own."""
-    write_analysis(answered.study, {"places": answers_of(answered, "places")}, GRID, answered.folder)
+    write_analysis(answered.study, answers(answered), GRID, answered.folder)
     (answered.folder / "stimuli" / "sub-01").mkdir(parents=True)
     (answered.folder / "stimuli" / "sub-01" / "trials.csv").write_text("a,b\n1,2\n")
     answered.enrol("03", invited=True)
@@ -123,14 +117,14 @@ def test_a_full_disk_refuses_the_answer_and_it_can_be_given_again(tmp_path, monk
     session = opened(tmp_path, small())
     session.start()
     session.present()
-    session.answer(Given(points=("1",)))
+    session.answer(("1",))
     session.present()
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", _full)
         with pytest.raises(DataError, match=r"cannot be written \(No space left on device\); make room"):
-            session.answer(Given(points=("5",)))
+            session.answer(("5",))
     assert session.view()["waiting"] == "answer"
-    session.answer(Given(points=("5",)))
+    session.answer(("5",))
     assert [r["response"] for r in opened(tmp_path, small())._store.answers("01", "places")] == ["1", "5"]
 
 
@@ -138,72 +132,49 @@ def _full(_):
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def test_what_played_is_kept_before_the_first_answer(answered):
-    rows = answered.devices()
-    assert [(r["participant_id"], r["task"], r["session"]) for r in rows[:3]] == [
-        ("sub-01", "places", "1"), ("sub-01", "places", "2"), ("sub-01", "drawn", "1"),
-    ]  # fmt: skip
-    assert {r["latency"] for r in rows} == {"0.002"}  # 96 samples at 48 kHz
-    assert {r["latency_basis"] for r in rows} == {"measured"}
-    assert {r["gain"] for r in rows} == {"0.97"}
-
-
-def test_what_was_not_measured_is_unknown_and_analysis_says_so(tmp_path):
+def test_what_plays_stands_in_each_trial_and_what_was_not_measured_is_unknown(answered, tmp_path):
+    rows = answered.answers("01", "places")
+    assert {(r["device"], r["latency"], r["cable_gain"]) for r in rows} == {("sound card card", "0.002", "0.97")}
+    blank = known(cable=False)
+    assert (blank["latency"], blank["cable_gain"]) == (None, None)
     card = SoundCard(256, module=_Card())
-    blank = back_end(card, DaqOptions(outputs=("1",)), 48e3, None)
-    assert np.isnan(blank.latency)
-    assert blank.latency_basis == "unknown"
-    assert back_end(card, DaqOptions(outputs=("1",), latency=0.01), 48e3, None).latency_basis == "declared"
+    assert known_of(card, DaqOptions(outputs=("1",), latency=0.01), 48e3, None)["latency"] == 0.01
     g = TransferMatrix(np.array([50.0, 100.0]), np.ones((2, 9, 1), dtype=complex), GRID, (GRID[0],))
-    virtual = back_end(VirtualDaq(g, 1000.0, 0.1, VirtualOptions(latency=7)), DaqOptions(), 1000.0, None)
-    assert (virtual.latency, virtual.latency_basis) == (7e-3, "known")
-    store = StudyStore.open(tmp_path, small())
+    virtual = VirtualDaq(g, 1000.0, 0.1, VirtualOptions(latency=7))
+    assert known_of(virtual, DaqOptions(), 1000.0, None)["latency"] == 7e-3
+    store = StudyStore.open(tmp_path / "other", small())
     store.enrol("01", consent="2026-11-24")
-    _half(Session(store, "01", store.study.tasks[0], GRID, silent, back_end=blank))
-    page = write_analysis(
-        store.study, {"places": answers_of(store, "places")}, GRID, tmp_path, devices=store.devices()
-    ).read_text()
+    _half(Session(store, "01", store.study.tasks[0], GRID, silent, columns=blank))
+    page = write_analysis(store.study, answers(store), GRID, tmp_path / "other").read_text()
     row = page[page.index("What played") :]
     assert "sound card card" in row
-    assert row.count("<td>unknown</td>") >= 3  # latency, how, gain
-    (tmp_path / "devices.tsv").unlink()
-    page = write_analysis(store.study, {"places": answers_of(store, "places")}, GRID, tmp_path, devices=[]).read_text()
-    assert page[page.index("What played") :].count("<td>unknown</td>") >= 4
-
-
-def test_withdrawal_takes_the_devices_too(answered):
-    answered.withdraw("01")
-    assert {r["participant_id"] for r in answered.devices()} == {"sub-02"}
-    assert not (answered.folder / "sub-01").exists()
+    assert row.count("<td>unknown</td>") == 2  # latency, gain
 
 
 def test_withdrawal_takes_what_an_analysis_made_of_the_answers(answered):
     """Its tables hold every trial of every participant."""
-    write_analysis(answered.study, {"places": answers_of(answered, "places")}, GRID, answered.folder)
+    write_analysis(answered.study, answers(answered), GRID, answered.folder)
     assert list((answered.folder / "analysis").glob("*-trials.csv"))
     (answered.folder / "analysis" / "notes.txt").write_text("of the experimenter's own")
     answered.withdraw("01")
     assert [f.name for f in (answered.folder / "analysis").iterdir()] == ["notes.txt"]
 
 
-def test_outlines_are_kept_and_judged(answered):
-    """Squares of 1 cm2 about each target hold it; moved by 8 mm they do not."""
-    table = answers_of(answered, "drawn")
-    main = with_errors(table, GRID)
-    assert main["inside"].all()
-    assert main["error"].to_numpy() == pytest.approx(np.zeros(len(main)), abs=1e-8)
-    first = outline(table["response_outline"][0])
-    target = 1e3 * np.array(next(p.position[:2] for p in GRID if p.name == table["target"][0]))
-    assert first - target == pytest.approx(1e3 * SQUARE)
-    away = " ".join(f"{x + 8:.2f},{y:.2f}" for x, y in first)
-    table.loc[0, "response_outline"] = away
-    assert with_errors(table, GRID)["inside"].tolist() == [False] + [True] * (len(table) - 1)
-    with pytest.raises(DataError, match="expected pairs 'x,y'"):
-        outline("1,2 3")
-    page = write_analysis(answered.study, {"drawn": table}, GRID, answered.folder, devices=answered.devices())
-    made = {p.name for p in page.parent.glob("*.png")}
-    assert {"drawn-areas.png", "drawn-outlines.png", "drawn-ellipses.png"} <= made
-    assert "selected for larger answers" in page.read_text()
+def test_people_who_enrol_at_the_same_moment_get_places_of_their_own(tmp_path):
+    """Two at once, tasks balanced: each sits down to the task of the own place. Without the lock the pause gave both
+    the first one. The lock is the operating system's, on a file, so that threads stand for processes."""
+
+    def sit(who):
+        store = StudyStore.open(tmp_path, plan)
+        with store.locked():
+            task = _due(store, who, None)
+            time.sleep(0.1)
+            store.enrol(who, consent="2026-11-24")
+        return store.place(who), task.name
+
+    StudyStore.open(tmp_path, plan := study(order=Order(tasks="balanced")))
+    with ThreadPoolExecutor(2) as pool:
+        assert sorted(pool.map(sit, ("anna", "berta"))) == [(1, "identification"), (2, "confidence")]
 
 
 def test_a_second_process_is_told_who_holds_the_participant(tmp_path):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -21,12 +23,10 @@ from forearm_fem.rendering import InverseFilter, drives, render_all, ricker
 from forearm_fem.results.files import write_transfer
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.measurement import DaqOptions
-from forearm_fem.study.answers import read_answers
-from forearm_fem.study.export import at_rate, export
+from forearm_fem.study.handover import answers, at_rate, export
 from forearm_fem.study.levels import Motion, apart, motion, sensitivity, told
 from forearm_fem.study.plan import Stimuli
 from forearm_fem.study.run import Prepared, sitting
-from forearm_fem.study.session import Given
 from forearm_fem.study.stimuli import DevicePlayer, Stimulus, stimuli_for
 from forearm_fem.transfer import TransferMatrix
 
@@ -186,10 +186,10 @@ def test_what_is_played_ends_with_its_last_wavelet_and_keeps_the_limit(repeats, 
 
 
 def _sit(lab, who="01", task="identification"):
-    with sitting(Prepared.of(lab / "pilot.toml"), who, task, consent="2026-11-24") as (session, _):
+    with sitting(Prepared.of(lab / "pilot.toml"), who, task, consent="2026-11-24") as (session, *_):
         session.start()
         session.present()
-        session.answer(Given(points=("5",)))
+        session.answer(("5",))
         return session._store.answers(who, session.task.name)[-1]
 
 
@@ -291,7 +291,7 @@ def handed(lab):
     assert len(rows) == 108
     assert all((folder / r["wav"]).exists() for r in rows)
     assert {"psychopy_study.py", "jspsych_study.html", "stimuli.json"} <= {p.name for p in folder.iterdir()}
-    return lab, rows, prepared.store(), prepared.grid()
+    return lab, rows, prepared
 
 
 def _written(lab, rows, kind):
@@ -317,12 +317,12 @@ def _written(lab, rows, kind):
 
 @pytest.mark.parametrize("kind", ["psychopy", "builder", "mouse", "jspsych"])
 def test_answers_of_other_programs_become_our_own_table(handed, kind):
-    lab, rows, store, grid = handed
-    table = read_answers([_written(lab, rows, kind)], store, grid)["identification"]
+    lab, rows, prepared = handed
+    table = answers(prepared.store(), [_written(lab, rows, kind)], prepared.grid())["identification"]
     assert table["trial"].tolist() == list(range(1, 109))
     assert table["response"].tolist() == [r["target"] for r in rows]
     assert table["response_time"].tolist() == [1.5] * 108
-    places = {p.name: p.position for p in grid}
+    places = {p.name: p.position for p in prepared.grid()}
     assert table["response_x"].tolist() == [places[r["target"]][0] for r in rows]
     assert set(table["phase"]) == {"training", "main"}
     assert table["weighted_db"].tolist() == pytest.approx([float(r["weighted_db"]) for r in rows])
@@ -330,7 +330,7 @@ def test_answers_of_other_programs_become_our_own_table(handed, kind):
 
 
 def test_answers_that_do_not_fit_the_plan_are_refused(handed):
-    lab, rows, store, grid = handed
+    lab, rows, prepared = handed
     file = _written(lab, rows, "psychopy")
     shutil.copy(file, lab / "twice.csv")
     for change, words in (
@@ -338,16 +338,63 @@ def test_answers_that_do_not_fit_the_plan_are_refused(handed):
         ({"trial": "999"}, "planned was none"), ({"participant": "07"}, "participant 07 is unknown"),
     ):  # fmt: skip
         with pytest.raises(DataError, match=words):
-            read_answers([_written(lab, [{**rows[0], **change}], "psychopy")], store, grid)
+            answers(prepared.store(), [_written(lab, [{**rows[0], **change}], "psychopy")], prepared.grid())
     other = [{**r, "transfer": "0123456789ab"} if int(r["trial"]) > 50 else r for r in rows]
     with pytest.raises(DataError, match="participant 01 answered stimuli made from two versions of transfer"):
-        read_answers([_written(lab, other, "psychopy")], store, grid)
+        answers(prepared.store(), [_written(lab, other, "psychopy")], prepared.grid())
     file = _written(lab, rows, "psychopy")
     with pytest.raises(DataError, match="trial 1 of identification by 01 is answered twice"):
-        read_answers([file, lab / "twice.csv"], store, grid)
+        answers(prepared.store(), [file, lab / "twice.csv"], prepared.grid())
     file.write_text("a,b\n1,2\n")
     with pytest.raises(DataError, match=r"holds no answer to a trial of trials\.csv"):
-        read_answers([file], store, grid)
+        answers(prepared.store(), [file], prepared.grid())
     file.write_text("not json")
     with pytest.raises(DataError, match="cannot be read as PsychoPy's CSV or jsPsych's"):
-        read_answers([file.rename(lab / "x.json")], store, grid)
+        answers(prepared.store(), [file.rename(lab / "x.json")], prepared.grid())
+
+
+_PSYCHOPY = """
+import csv, itertools, pathlib, sys, types
+class Any:
+    def __init__(self, *_, **__): pass
+    def __getattr__(self, name): return lambda *_, **__: None
+class Handler:
+    def __init__(self, name, dataFileName, savePickle): self.file, self.rows, self.row = dataFileName + ".csv", [], {}
+    def addData(self, name, value): self.row[name] = value
+    def nextEntry(self): self.rows.append(self.row); self.row = {}
+    def close(self):
+        pathlib.Path(self.file).parent.mkdir(exist_ok=True)
+        with open(self.file, "w", newline="", encoding="utf-8-sig") as stream:
+            writer = csv.DictWriter(stream, list(self.rows[0])); writer.writeheader(); writer.writerows(self.rows)
+keys, played = itertools.cycle([["num_5"], ["5"], ["6"], ["return"]]), []
+class Mouse(Any):
+    def isPressedIn(self, shape): return False
+    def getPressed(self): return [0, 0, 0]
+class Clock:
+    def reset(self): pass
+    def getTime(self): return 1.25
+make = lambda **parts: types.SimpleNamespace(**parts)
+core = make(Clock=Clock, wait=lambda _: None, quit=sys.exit)
+event = make(Mouse=Mouse, waitKeys=lambda **_: None, clearEvents=lambda: None, getKeys=lambda: next(keys))
+sys.modules["psychopy"] = make(core=core, event=event, data=make(ExperimentHandler=Handler), visual=make(
+    Window=Any, TextStim=Any, Circle=Any))
+play = lambda samples, rate, blocking: played.append((samples.shape[1], rate, blocking))
+sys.modules["sounddevice"] = make(play=play)
+sys.argv = [sys.argv[1], sys.argv[2]]
+exec(compile(open(sys.argv[0]).read(), sys.argv[0], "exec"), {"__file__": sys.argv[0], "__name__": "__main__"})
+assert len(played) > 100 and set(played) == {(4, 8000, True)}
+"""
+
+
+@pytest.mark.parametrize("task", ["identification", "confidence"])
+def test_the_psychopy_script_plays_every_trial_and_its_answers_are_read(handed, task):
+    """Run as it is exported, on a stand-in for PsychoPy's modules that presses keys and writes its CSV."""
+    _, _, prepared = handed
+    script = prepared.folder / "stimuli" / "sub-01" / "psychopy_study.py"
+    command = [sys.executable, "-c", _PSYCHOPY, str(script), task]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    table = answers(prepared.store(), [script.parent / "data"], prepared.grid())[task]
+    assert table["trial"].tolist() == list(range(1, 109))
+    assert table["response_time"].eq(1.25).all()
+    assert set(table["response"]) == ({"5", "6"} if task == "identification" else {"6"})

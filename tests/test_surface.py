@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,97 +16,32 @@ from forearm_fem.engines.engine import Engine
 from forearm_fem.engines.layered import LayeredEngine
 from forearm_fem.engines.solved import FemEngine
 from forearm_fem.errors import DataError, ScenarioError
+from forearm_fem.questions.compare.parameters import common_parameters
 from forearm_fem.questions.design.candidate import TwinArm
 from forearm_fem.questions.predict.arm import LayeredArm
+from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of
+from forearm_fem.questions.predict.run import Question, check_question, predict
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.shipped import contents, law_files, named_files
 from forearm_fem.tissue import SpringPot, Zener, resolve_tissues
 
 SMALL = SHORT.replace("f_max = 300.0", "f_max = 700.0")  # all of the wavelet
-RENDERER = '''
-from dataclasses import dataclass
-
-import numpy as np
-
-from forearm_fem import Aim
+PAGE = (Path(__file__).parents[1] / "docs" / "howto" / "extend.md").read_text(encoding="utf-8")
 
 
-@dataclass(frozen=True)
-class Loudest:
-    """Every actuator plays the wavelet as it is."""
-
-    volts: float = 1.0
-    name: str = "all alike"
-
-    def aim(self, placed, target, wavelet):
-        return Aim(self.volts * np.repeat(wavelet[:, None], len(placed.inputs), axis=1), np.ones(len(wavelet), bool))
-'''
-ENGINE = '''
-from dataclasses import replace
-
-from forearm_fem.engines.layered import LayeredEngine
-
-
-class Softer:
-    """The layered model, twice as soft; no more than 300 Hz."""
-
-    name = "twice as soft"
-
-    def holds(self, scenario):
-        return "" if scenario.sweep.f_max <= 300 else "sweep.f_max: this engine ends at 300 Hz; lower it"
-
-    def compliance(self, scenario, frequency):
-        found = LayeredEngine().compliance(scenario, frequency)
-        return replace(found, values=2 * found.values)
-'''
-READER = '''
-import numpy as np
-
-from forearm_fem.files import RawMatrix, Reader
-
-
-class LabFile(Reader):
-    """Numbers of our own vibrometer: frequency, then real and imaginary part of each entry, point by point."""
-
-    kind = "our vibrometer's files"
-    endings = (".vib",)
-
-    def raw(self, file, said):
-        rows = np.loadtxt(file)
-        values = rows[:, 1::2] + 1j * rows[:, 2::2]
-        return RawMatrix(
-            str(file), values.reshape(len(rows), -1, 4), rows[:, 0], ("frequency", "output", "input"),
-            unit="m/V", sign="+iwt", spectrum="one-sided",
-        )
-'''
-LAW = '''
-from dataclasses import dataclass
-
-import numpy as np
-
-from forearm_fem import Law
-
-
-@dataclass(frozen=True)
-class Stiffening(Law):
-    """mu* = mu + i omega eta, written by hand."""
-
-    mu: float
-    loss: float = 3.0
-
-    def at(self, omega):
-        return self.mu + 1j * np.asarray(omega) * self.loss
-'''
+def on_page(heading: str, kind: str = "python") -> str:
+    """The first block of code of a kind below a heading of the manual's page."""
+    below = PAGE.partition(f"\n## {heading}\n")[2]
+    return below.partition(f"```{kind}\n")[2].partition("```")[0]
 
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a scenario, and the user's two files beside it."""
+    """A folder with a scenario, and beside it the files of the manual's page."""
     folder = tmp_path_factory.mktemp("user")
-    (folder / "mine.py").write_text(RENDERER)
-    (folder / "law.py").write_text(LAW)
-    (folder / "lab.py").write_text(READER)
-    (folder / "soft.py").write_text(ENGINE)
+    for heading in ("A renderer", "A tissue law", "An engine", "A file format"):
+        code = on_page(heading)
+        (folder / re.match(r"# (\w+\.py)", code)[1]).write_text(code)
     (folder / "small.toml").write_text(SMALL)
     return folder
 
@@ -170,11 +106,32 @@ def test_a_renderer_of_one_s_own_runs_from_a_scenario(home: Path, simulation: Si
 
 def test_a_tissue_law_of_one_s_own_gives_the_g_of_the_same_law(home: Path, simulation: Simulation):
     """Kelvin-Voigt written by hand is Kelvin-Voigt: layers ask for mu* alone, so that G is equal to rounding."""
-    own = '\n[tissues.override.skin]\nlaw = "law:Stiffening"\nmu = 13e3\nparameters = { loss = 3.0 }\n'
-    (home / "lawful.toml").write_text(SMALL + own)
+    (home / "lawful.toml").write_text(SMALL + on_page("A tissue law", "toml"))
     scenario = load_scenario(home / "lawful.toml")
     assert isinstance(resolve_tissues(scenario)["skin"].modulus, Law)
     np.testing.assert_allclose(simulate(scenario).transfer.values, simulation.transfer.values, rtol=1e-9)
+    assert common_parameters(scenario, ["skin.loss"])[0].name == "tissues.override.skin.parameters.loss"
+
+
+def test_arms_are_drawn_of_a_law_of_one_s_own(home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """As its class says how people differ, by its name beside the scenario; a class that does not say is refused."""
+    monkeypatch.setattr("forearm_fem.questions.predict.statistics.LEAST", 2)  # of 20 draws that a band needs
+    (tmp_path / "here.toml").write_text(SHORT)
+    code = on_page("A tissue law")
+    (tmp_path / "stiffening.py").write_text(code)
+    (tmp_path / "silent.py").write_text(code.replace("    drawn =", "    said ="))
+    scenario = load_scenario(tmp_path / "here.toml")
+    question = Question(scenario, tmp_path, laws=("stiffening:Stiffening",))
+    found = predict(question, tmp_path / "out", draws=2, workers=1)
+    assert {law.rpartition(":")[2] for law in found.draws.laws} == {"Stiffening"}
+    assert np.isfinite(found.draws.strengths).all()
+    assert {"skin stiffness", "skin loss"} <= set(found.draws.names)
+    draw = draw_inputs(load_priors(), scenario, 0, 1, [f"{tmp_path / 'stiffening.py'}:Stiffening"])
+    drawn = resolve_tissues(scenario_of(draw, scenario))
+    assert (drawn["skin"].modulus.mu, drawn["skin"].modulus.loss) == (draw.values["skin.mu"], draw.values["skin.loss"])
+    assert drawn["fat"] == resolve_tissues(scenario)["fat"]  # the class says nothing of fat
+    with pytest.raises(ScenarioError, match="how arms differ"):
+        check_question(Question(scenario, tmp_path, laws=("silent:Stiffening",)))
 
 
 def test_an_engine_of_one_s_own_answers_for_a_scenario(home: Path, simulation: Simulation, tmp_path: Path):
@@ -202,7 +159,7 @@ def test_a_file_of_one_s_own_format_is_read(home: Path, simulation: Simulation, 
     answer = cli("render", tmp_path / "g.vib", *said)
     assert answer.code == 0, answer.err
     with pytest.raises(DataError, match="is no reader"):
-        read(tmp_path / "g.vib", scenario=simulation.scenario, reader=f"{home / 'law.py'}:Stiffening")
+        read(tmp_path / "g.vib", scenario=simulation.scenario, reader=f"{home / 'stiffening.py'}:Stiffening")
 
 
 @pytest.mark.parametrize("engine", [LayeredEngine(), FemEngine(), TwinArm(), LayeredArm()])
@@ -217,7 +174,7 @@ def test_engines_are_engines(engine: Engine):
 
 def test_a_law_that_was_edited_is_another_question(home: Path):
     """What is kept of solves and predictions hangs on the code behind a name, not on the name alone."""
-    (home / "edited.py").write_text((home / "law.py").read_text())
+    (home / "edited.py").write_text((home / "stiffening.py").read_text())
     scenario = parse_scenario(
         {"tissues": {"override": {"skin": {"law": f"{home / 'edited.py'}:Stiffening", "mu": 13e3}}}}
     )

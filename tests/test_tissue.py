@@ -11,7 +11,7 @@ from forearm_fem.tissue import (
     PRESETS,
     Hysteretic,
     KelvinVoigt,
-    Modulus,
+    Law,
     SpringPot,
     Tissue,
     Zener,
@@ -28,7 +28,7 @@ OMEGA = 2 * np.pi * np.array([10.0, 50.0, 200.0, 500.0])
 
 
 @pytest.mark.parametrize("modulus", MODULI)
-def test_passive_and_hermitian(modulus: Modulus) -> None:
+def test_passive_and_hermitian(modulus: Law) -> None:
     values = modulus.at(OMEGA)
     assert np.all(values.imag >= 0)  # e^{+i omega t}: dissipation
     assert np.array_equal(modulus.at(-OMEGA), values.conj())
@@ -37,7 +37,7 @@ def test_passive_and_hermitian(modulus: Modulus) -> None:
 
 
 @pytest.mark.parametrize("modulus", MODULI)
-def test_taylor_sums_to_the_modulus_nearby(modulus: Modulus) -> None:
+def test_taylor_sums_to_the_modulus_nearby(modulus: Law) -> None:
     omega0, order = 2 * np.pi * 200.0, 40
     coefficients = modulus.taylor(omega0, order)
     assert coefficients.shape == (order + 1,)
@@ -48,7 +48,7 @@ def test_taylor_sums_to_the_modulus_nearby(modulus: Modulus) -> None:
 
 
 @pytest.mark.parametrize("modulus", MODULI)
-def test_taylor_matches_central_differences(modulus: Modulus) -> None:
+def test_taylor_matches_central_differences(modulus: Law) -> None:
     omega0, h = 900.0, 1.0
     plus, here, minus = modulus.at(np.array([omega0 + h, omega0, omega0 - h]))
     c = modulus.taylor(omega0, 2)
@@ -60,7 +60,7 @@ def test_taylor_matches_central_differences(modulus: Modulus) -> None:
 
 @pytest.mark.parametrize("n", [0, 1, 5])
 @pytest.mark.parametrize("modulus", MODULI)
-def test_taylor_has_n_plus_one_terms(modulus: Modulus, n: int) -> None:
+def test_taylor_has_n_plus_one_terms(modulus: Law, n: int) -> None:
     assert modulus.taylor(700.0, n).shape == (n + 1,)
 
 

@@ -145,7 +145,7 @@ def stage(
 
     folder, kept = out_folder(out, asked, overrides), library_file(library)
     with locked(folder):
-        with Display() as display:
+        with noted(), Display() as display:
             job = Run.start(asked, folder, file.parent, display)
             job.asked = asked_words(file, overrides, library)
             if kept is not None:

@@ -40,7 +40,8 @@ def predict(
     ] = 200,
     seed: Annotated[int, typer.Option(min=0, help="of the draws: the same seed gives the same arms")] = 0,
     law: Annotated[
-        list[str] | None, typer.Option(help="draw this tissue law only (repeatable): kelvin-voigt, zener, springpot")
+        list[str] | None,
+        typer.Option(help="draw this tissue law only (repeatable): kelvin-voigt, zener, springpot, or module:Name"),
     ] = None,
     hold: Annotated[
         list[str] | None,

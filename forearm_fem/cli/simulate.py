@@ -60,7 +60,7 @@ def run(
             kept.ports(asked)  # what it does not answer for is said now
             typer.echo(f"library: no mesh and no solve; {len(frequencies(asked.sweep))} frequencies in seconds")
             return
-        with Display() as display:
+        with noted(), Display() as display:
             expected = _expected(asked, scenario.parent, display)
         _print_forecast(asked, expected)
         print_notes(scene_notes(asked))

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import json
+from importlib import resources
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from ..errors import DataError, ScenarioError
+from ..errors import DataError, MissingExtra, ScenarioError
 from .common import Declared, declaration, holds_g, measured_g, noted, print_notes, there
 
-app = typer.Typer(no_args_is_help=True, help="Studies with people, from the stimulus to the statistics.")
+app = typer.Typer(no_args_is_help=True)
+
+
+@app.callback()
+def installed() -> None:
+    """Studies with people, from the stimulus to the statistics."""
+    for package in ("pandas", "pingouin", "starlette", "uvicorn"):
+        if find_spec(package) is None:
+            raise MissingExtra(package, "study", "a study with people")
+
 
 StudyFile = Annotated[
     Path, typer.Argument(help="study file; `forearm-fem study new` writes one",
@@ -26,53 +37,24 @@ def _pseudonym(name: str) -> str:
 
 
 Participant = Annotated[str, typer.Option(help="pseudonym: letters and digits, e.g. 01", callback=_pseudonym)]
-_COUNTS = (4, 6, 8, 10, 14, 20, 28, 40, 60)  # participants for whom power is told
 _DATA = "folder of the answers; default beside the file"
 Data = Annotated[Path | None, typer.Option("--data", help=_DATA)]
 Answers = Annotated[
     Path | None, typer.Option("--data", help=_DATA, callback=there("no such folder of answers", folder=True)),
 ]  # fmt: skip
 
-_TEMPLATE = """# A study: every key is optional but name and scenario. `forearm-fem study run {name}.toml` runs it.
-name = "{name}"
-scenario = {scenario}                                # device, wavelet, limits
-transfer = "calibration/{{participant}}/transfer.nc"     # each participant's calibrated G
-participants = 20
-language = "en"                                         # en, de, nl, or a TOML file of texts
-# consent = "consent.txt"                               # a text to be agreed to on the page; else --consent DATE
 
-[stimuli]
-methods = ["inverse filter", "funneling", "combination"]
-targets = ["1", "2", "3", "4", "5", "6", "7", "8", "9"]
-levels = "equal at target"                              # or "as rendered", a table of dB, or a CSV of a matching task
-# peak = 1.0                                            # of equal levels: of the wavelet at the target [um]
+def _all_there(files: list[Path] | None) -> list[Path] | None:
+    for file in files or ():
+        there("no such file or folder of answers")(file)
+    return files
 
-[order]
-seed = 0
-methods = "mixed"                                       # or "one after the other"
-tasks = "fixed"                                         # or "balanced"
-no_target_twice = true
 
-[analysis]                                              # fixed once the first participant is enrolled
-correction = "holm"                                     # or "bonferroni"
-sphericity = "Greenhouse-Geisser"                       # or "Huynh-Feldt"
-alpha = 0.05
-
-[[tasks]]                                               # study 1 of de Vlam 2022: 3 methods x 9 targets x 3 = 81 trials
-name = "identification"
-answer = "one point"
-repetitions = 3
-blocks = 3
-training = 1
-
-[[tasks]]                                               # study 2: as many points as are felt
-name = "confidence"
-answer = "several points"
-repetitions = 3
-blocks = 3
-training = 1
-"""
-
+Foreign = Annotated[
+    list[Path] | None,
+    typer.Option("--answers", callback=_all_there, help="of PsychoPy (CSV) or jsPsych (JSON, CSV) to exported trials, "
+                 "in place of our own sessions': a file or folder, repeatable"),
+]  # fmt: skip
 
 @app.command()
 def new(
@@ -97,7 +79,8 @@ def new(
         raise ScenarioError(f"{file} exists already; take another name or remove it")
     asked = load_scenario(scenario_beside(folder, scenario))
     g = measured_g(transfer, asked, declare, "--transfer")
-    write_text(file, _TEMPLATE.format(name=name, scenario=json.dumps(scenario, ensure_ascii=False)))
+    text = resources.files("forearm_fem.study").joinpath("pages/study.toml").read_text(encoding="utf-8")
+    write_text(file, text.replace("@name@", name).replace("@scenario@", json.dumps(scenario, ensure_ascii=False)))
     typer.echo(str(file))
     if g is None:
         typer.echo("levels: equal at target; --transfer G says by how much methods differ as rendered")
@@ -141,10 +124,9 @@ def run(
     """Run a participant's session; the same command goes on where it stopped."""
     from ..measurement.playback import read_loopback
     from ..study.levels import AUDIBLE, apart, told
-    from ..study.run import Prepared, require_study_extra, sitting
+    from ..study.run import Prepared, sitting
     from ..study.server import serve, texts
 
-    require_study_extra()
     prepared = Prepared.of(file, data)
     kept = None if cable is None else read_loopback(cable)
     held = sitting(
@@ -156,13 +138,16 @@ def run(
         """Tell the addresses of the two pages."""
         typer.echo(f"participant:  {theirs}\nexperimenter: {ours}\nCtrl-C stops; the same command goes on.")
 
-    with held as (session, made):
-        if session.back_end.latency_basis == "unknown":
+    with held as (session, made, plays):
+        if plays["latency"] is None:
             print_notes(
                 ["the device's latency was not measured and is kept as unknown; `forearm-fem daq loopback` measures it"]
             )
         motions = {k: s.moved for k, s in made.stimuli.items()}
-        (print_notes if max(apart(motions).values()) > AUDIBLE else _echoed)([told(motions)])
+        if max(apart(motions).values()) > AUDIBLE:
+            print_notes([told(motions)])
+        else:
+            typer.echo(told(motions))
         if host not in ("127.0.0.1", "localhost"):
             print_notes([f"--host {host}: whoever reaches this machine's port and knows an address below can take part "
                          "or lead; nothing is encrypted. Give each address only to whom it is for"])  # fmt: skip
@@ -173,10 +158,6 @@ def run(
         )  # fmt: skip
         view = session.view()
     typer.echo(f"{view['answered']} of {view['total']} answered; data: {prepared.folder}")
-
-
-def _echoed(lines: list[str]) -> None:
-    typer.echo("\n".join(lines))
 
 
 @app.command()
@@ -192,7 +173,7 @@ def stimuli(
     data: Data = None,
 ) -> None:  # fmt: skip
     """Write a participant's stimuli as WAV and the trials as CSV, for PsychoPy, jsPsych or another player."""
-    from ..study.export import export
+    from ..study.handover import export
     from ..study.levels import told
     from ..study.run import Prepared
 
@@ -219,37 +200,16 @@ def status(file: StudyFile, data: Answers = None) -> None:
 
 
 @app.command()
-def analyse(
-    file: StudyFile,
-    data: Answers = None,
-    answers: Annotated[
-        list[Path] | None,
-        typer.Option("--answers", help="of PsychoPy (CSV) or jsPsych (JSON, CSV) to exported trials: a file or folder, "
-                     "repeatable; in place of our own sessions'"),
-    ] = None,
-) -> None:  # fmt: skip
+def analyse(file: StudyFile, data: Answers = None, answers: Foreign = None) -> None:
     """Errors, ellipses, confusion, confidence and statistics by the study's plan: a page, CSVs and R scripts."""
-    from ..study.answers import read_answers
+    from ..study.handover import answers as answers_of
     from ..study.report import write_analysis
-    from ..study.run import Prepared, answers_of, require_study_extra
+    from ..study.run import Prepared
 
-    require_study_extra()
     prepared = Prepared.of(file, data)
-    grid, store = prepared.grid(), prepared.store()
-    for each in answers or ():
-        there("no such file or folder of answers")(each)
-    found = read_answers(answers, store, grid) if answers else {}
-    for task in prepared.study.tasks if not answers else ():
-        try:
-            found[task.name] = answers_of(store, task.name)
-        except DataError as problem:
-            print_notes([str(problem)])
-    if not found:
-        raise DataError(f"{prepared.folder}: there are no answers to analyse")
     with noted():
-        page = write_analysis(
-            prepared.study, found, grid, prepared.folder, devices=None if answers else store.devices()
-        )
+        found = answers_of(prepared.store(), answers or (), prepared.grid())
+        page = write_analysis(prepared.study, found, prepared.grid(), prepared.folder)
     typer.echo(str(page))
 
 
@@ -257,80 +217,51 @@ def analyse(
 def power(
     file: StudyFile,
     pilot: Annotated[
-        Path | None, typer.Option(help="folder of answers to take effect and scatter from",
+        Path | None, typer.Option(help="folder of a pilot's answers; default beside the file",
                                   callback=there("no such folder of answers", folder=True)),
     ] = None,
-    answers: Annotated[
-        list[Path] | None, typer.Option("--answers", help="a pilot's answers by PsychoPy or jsPsych, as for analyse")
-    ] = None,
+    answers: Foreign = None,
     task: Annotated[str | None, typer.Option(help="of the study; default: its first")] = None,
     measure: Annotated[
-        Literal["error", "precision", "points", "response_area"] | None,
-        typer.Option(help="default: the task's own: points where several are chosen, the area where one is drawn"),
+        Literal["error", "precision", "points"] | None,
+        typer.Option(help="default: the task's own, points where several are chosen"),
     ] = None,
     effect: Annotated[
-        Literal["location", "method", "location x method", "pair"],
-        typer.Option("--effect", help="to be found: location, method, 'location x method' or a pair of methods"),
+        Literal["location", "method", "location x method"],
+        typer.Option("--effect", help="to be found: location, method or 'location x method'"),
     ] = "method",
     least: Annotated[
         float | None,
-        typer.Option(help="the least difference that matters, in the measure's unit (m for error and precision)"),
-    ] = None,
-    scatter: Annotated[
-        float | None, typer.Option(help="without a pilot: standard deviation over participants of a difference")
+        typer.Option(help="the least difference that matters, in the measure's unit (m for error and precision); "
+                     "default: the pilot's effect"),
     ] = None,
 ) -> None:  # fmt: skip
     """How many participants find the effect of a pilot, or the least that matters, and how sure that is."""
-    from ..show.style import SHEET
-    from ..store.folder import atomic_path
-    from ..study import power as planned
     from ..study.analysis import cells, with_errors
-    from ..study.answers import read_answers
-    from ..study.figures import plot_power
-    from ..study.run import Prepared, answers_of, require_study_extra
+    from ..study.handover import answers as answers_of
+    from ..study.power import power_curve, size_of_least, size_of_pilot
+    from ..study.run import Prepared
 
-    require_study_extra()
+    if least is not None and not 0 < least < float("inf"):
+        raise DataError(f"--least: expected a positive number, got {least:g}")
     prepared = Prepared.of(file, pilot)
-    study = prepared.study
-    asked = study.task(task) if task else study.tasks[0]
-    what, methods = measure or asked.measures[0], len(study.stimuli.methods)
-    if sum((pilot is not None, bool(answers), scatter is not None)) != 1 or (scatter is not None and least is None):
-        raise DataError("expected --pilot FOLDER or --answers FILE, with or without --least; or --least and --scatter")
-    for name, value in (("--least", least), ("--scatter", scatter)):
-        if value is not None and not 0 < value < float("inf"):
-            raise DataError(f"{name}: expected a positive number, got {value:g}")
+    asked = prepared.study.task(task) if task else prepared.study.tasks[0]
+    what = measure or asked.measures[0]
     if what not in asked.measures:
         raise DataError(f"--measure {what}: task {asked.name} gives {', '.join(asked.measures)}")
-    if least is not None and scatter is not None:
-        size, source = planned.size_of_scatter(least, scatter, methods, effect), "stated"
-    else:
-        for each in answers or ():
-            there("no such file or folder of answers")(each)
-        store, grid = prepared.store(), prepared.grid()
-        table = read_answers(answers, store, grid).get(asked.name) if answers else answers_of(store, asked.name)
-        if table is None:
-            raise DataError(f"--answers: none of them is to task {asked.name}")
-        values, *_ = cells(with_errors(table, grid), what)
-        if least is None:
-            size, source = planned.size_of_pilot(values, effect), "the pilot's effect"
-        else:
-            size, source = planned.size_of_least(values, effect, least), f"{least:g} over the pilot's scatter"
-    family = methods * (methods - 1) // 2 if effect == "pair" else 1
-    curve = planned.power_curve(size, _COUNTS, alpha=study.analysis.alpha, family=family)
+    if (table := answers_of(prepared.store(), answers or (), prepared.grid()).get(asked.name)) is None:
+        raise DataError(f"nobody has answered task {asked.name}; a pilot of three people tells scatter")
+    values, *_ = cells(with_errors(table, prepared.grid()), what)
+    size = size_of_pilot(values, effect) if least is None else size_of_least(values, effect, least)
+    source = "the pilot's effect" if least is None else f"{least:g} over the pilot's scatter"
     typer.echo(f"{asked.name}, {what}, {effect}: {source}")
+    curve = power_curve(size, (4, 6, 8, 10, 14, 20, 28, 40, 60), alpha=prepared.study.analysis.alpha)
     for p in curve:
-        between = f" ({p.low:.0%} to {p.high:.0%})" if size.low < size.high else ""
-        typer.echo(f"{p.participants:3d} participants: {p.share:.0%}{between}".replace("%", " %"))
+        typer.echo(f"{p.participants:3d} participants: {100 * p.share:.0f} % ({100 * p.low:.0f} to {100 * p.high:.0f})")
     if size.low == 0:
         print_notes(["the pilot does not tell this effect from none; state the least that matters with --least"])
-    enough = planned.needed(curve)
+    enough = next((p.participants for k, p in enumerate(curve) if min(q.share for q in curve[k:]) >= 0.8), None)
     typer.echo("80 % is not reached" if enough is None else f"80 % from {enough} participants on")
-    if pilot is not None:
-        from matplotlib import style
-
-        with atomic_path(pilot / "power.png") as target, style.context(SHEET):
-            plot_power(curve).savefig(target, dpi=130)
-        typer.echo(str(pilot / "power.png"))
 
 
 @app.command()

@@ -32,6 +32,7 @@ from ..scenario.sweep import frequencies
 from ..store.record import dims
 from ..store.shelf import Shelf
 from ..store.text import digest_of
+from ..tissue import law as law_class
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray
@@ -58,14 +59,12 @@ class Ranges:
     """What arms may differ in, around a scenario: uniform in the logarithm, tension uniform.
 
     ``moduli`` multiplies or divides mu and eta of each soft tissue (a springpot's size at 100 Hz); ``tension`` [N/m];
-    ``laws`` in turn; ``stiffening`` is a Zener tissue's mu_infinity over mu; ``exponents`` are springpots'.
+    ``laws`` in turn, whose classes say what is near to the scenario's.
     """
 
     moduli: float = 2.0
     tension: tuple[float, float] = (0.0, 92.0)
     laws: tuple[str, ...] = ("kelvin-voigt", "zener", "springpot")
-    stiffening: tuple[float, float] = (1.3, 4.0)
-    exponents: tuple[float, float] = (0.15, 0.45)
 
     def draws(self, scenario: Scenario, count: int, *, seed: int = 0) -> tuple[Scenario, ...]:
         """``count`` arms by a Latin hypercube over all inputs."""
@@ -77,17 +76,9 @@ class Ranges:
         tissues, data = resolve_tissues(scenario), scenario.model_dump(mode="json", exclude_none=True)
         for name, place in zip(names, places[:-1].reshape(-1, 3), strict=True):
             kept = {k: v for k, v in data["tissues"]["override"].get(name, {}).items() if k in ("density", "bulk")}
-            omega = 2 * np.pi * _TYPICAL
-            modulus = complex(tissues[name].modulus.at(omega))
-            mu, eta = getattr(tissues[name].modulus, "mu", modulus.real), modulus.imag / omega
             stiff, viscous = self.moduli ** (2 * place[:2] - 1)
-            found = {"kelvin-voigt": {"mu": mu * stiff, "eta": eta * viscous}}
-            low, high = self.stiffening
-            found["zener"] = {**found["kelvin-voigt"], "mu_infinity": mu * stiff * low * (high / low) ** place[2]}
-            exponent = float(np.interp(place[2], [0, 1], self.exponents))
-            size = (abs(modulus) * stiff / omega**exponent) ** (1 / (1 - exponent))  # |mu*| at 100 Hz
-            found["springpot"] = {"mu": float(size), "exponent": exponent, "eta": 1.0}
-            data["tissues"]["override"][name] = {**kept, "law": law, **found[law]}
+            near = law_class(law).near(tissues[name].modulus, 2 * np.pi * _TYPICAL, stiff, viscous, place[2])
+            data["tissues"]["override"][name] = {**kept, **near.stated(law)}
         data["tissues"]["membrane"]["tension"] = float(np.interp(places[-1], [0, 1], self.tension))
         return parse_scenario(data)
 

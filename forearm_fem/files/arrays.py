@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import h5py
 import numpy as np
 from scipy.io import loadmat
+from scipy.io.matlab import MatReadWarning
 
 from ..errors import DataError
 from ..transfer import TransferMatrix
@@ -20,6 +21,7 @@ from .reading import RecognitionWarning, reading, text_in
 
 _FREQUENCY = frozenset({
     "frequency_hz", "frequency", "frequencies", "freq", "freqs", "f", "f_hz", "freq_hz", "fr", "faxis", "freqvec",
+    "frq", "freq_vec", "fvec", "f_axis", "freq_domain", "frequency_vector",
 })  # fmt: skip
 _COMPLEX = ({"real", "imag"}, {"r", "i"}, {"re", "im"})
 _SHOWN = 90  # characters of a list of arrays
@@ -52,6 +54,7 @@ class ArrayReader(Reader):
         """See :meth:`.Reader.raw`."""
         with warnings.catch_warnings():
             warnings.simplefilter("error")
+            warnings.simplefilter("ignore", MatReadWarning)  # of objects of MATLAB's classes, which hold no G
             variables = self.variables(file)
         if not variables:
             raise DataError(f"{file}: holds no numeric arrays; save G as a plain array")
@@ -136,7 +139,8 @@ def _is_frequency(name: str, vector: Any) -> bool:
 
 
 def _described(variables: dict[str, Any]) -> str:
-    text = ", ".join(f"{k} {v.shape}" for k, v in variables.items())
+    first = sorted(variables.items(), key=lambda item: not np.iscomplexobj(item[1]))
+    text = ", ".join(f"{k} {v.shape}{' complex' * bool(np.iscomplexobj(v))}" for k, v in first)
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -194,7 +195,11 @@ def declared_by(option: str) -> Iterator[None]:
     try:
         yield
     except DataError as problem:
-        raise DataError(str(problem).replace("--declare ", f"{option} ")) from None
+        said = str(problem)
+        if option == "[declaration]":  # of a recipe: no shell's quotes, and arrays without names
+            said = re.sub(r'--declare "([^"]*)"', rf"{option} \1", said)
+            said = said.replace("frequency_variable or frequency_file", "frequency_file")
+        raise DataError(said.replace("--declare ", f"{option} ")) from None
 
 
 def arbitrary_gain(provenance: Mapping[str, Any]) -> dict[str, str]:

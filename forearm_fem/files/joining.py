@@ -21,7 +21,9 @@ from .reading import RecognitionWarning
 from .sweeps import channels_of, read_sweep, waveforms
 
 if TYPE_CHECKING:
+    from ..measurement.recording import Recording
     from ..scenario import Scenario
+    from ..scenario.measurement import MeasurementOptions
 
 _PLACES = {"output": "(?P<output>.+?)", "input": "(?P<input>.+?)"}
 
@@ -180,6 +182,7 @@ def estimated(named: Sequence[Named], said: Declaration, scenario: Scenario, por
     from ..measurement.estimators import ExponentialSweep
 
     options, band = scenario.measurement, ExponentialSweep.of(scenario)
+    drives = set[str]()
     entries, known = [], ({p.name for p in ports[0]}, {p.name for p in ports[1]})
     for name in named:
         drive, response = channels_of(name.file, said)
@@ -198,9 +201,13 @@ def estimated(named: Sequence[Named], said: Declaration, scenario: Scenario, por
                 period=_period(name.file, said, drive, band.duration), drive_is_measured=said.drive_is_measured,
                 skip=said.skip, said=said,
             )  # fmt: skip
+            own = _options_for(taken, options)
             if not said.drive_is_measured:
-                taken = replace(taken, sent=taken.sent * options.daq.amplifier_gain)
-            entries.append(entry(taken, (band.f_min, band.f_max), options))
+                taken = replace(taken, sent=taken.sent * own.daq.amplifier_gain)
+            drives.add(taken.provenance.get("drive", "V"))
+            entries.append(entry(taken, (band.f_min, band.f_max), own))
+    if len(drives) > 1:
+        raise DataError(f"{named[0].file.parent}: some drives are in N, others in V; join files of one kind of drive")
     twice = [(e.output, e.input) for e in entries]
     if len(set(twice)) < len(twice):
         o, i = next(pair for pair in twice if twice.count(pair) > 1)
@@ -220,7 +227,22 @@ def estimated(named: Sequence[Named], said: Declaration, scenario: Scenario, por
             "marked as not measured",
             AccuracyWarning, stacklevel=3,
         )  # fmt: skip
-    return found.transfer
+    return replace(found.transfer, unit="m/N") if drives == {"N"} else found.transfer
+
+
+def _options_for(taken: Recording, options: MeasurementOptions) -> MeasurementOptions:
+    """``options`` of a recording whose file states motion or force: no sensor's volts, no amplifier."""
+    if (quantity := taken.provenance.get("response")) is not None:
+        if options.sensor.quantity not in (None, quantity):
+            raise DataError(
+                f"{taken.provenance['file']}: its response is {quantity} by its unit, and measurement.sensor.quantity "
+                f"is '{options.sensor.quantity}'; correct one of them"
+            )
+        stated = options.sensor.model_copy(update={"quantity": quantity, "sensitivity": 1.0})
+        options = options.model_copy(update={"sensor": stated})
+    if taken.provenance.get("drive") == "N":
+        options = options.model_copy(update={"daq": options.daq.model_copy(update={"amplifier_gain": 1.0})})
+    return options
 
 
 def _period(file: Path, said: Declaration, drive: str, duration: float) -> int:

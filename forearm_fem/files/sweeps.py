@@ -1,4 +1,4 @@
-"""Raw sweeps as other programs record them (TDMS, LVM, WAV, tables in time), and G of a folder of them."""
+"""Raw sweeps as other programs record them: TDMS, LVM, WAV, and vectors in time of tables, MATLAB, numpy, HDF5."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -19,6 +19,8 @@ import numpy as np
 from ..errors import DataError, optional
 from ..measurement.recording import Recording
 from ..typing import FloatArray
+from ..units import parse_unit
+from .arrays import ArrayReader, Hdf5Reader, MatReader, NpzReader
 from .declaration import SWEEPS, Declaration, RawMatrix, declare
 from .reader import Reader
 from .reading import RecognitionWarning, reading, refuse_stand_in, text_in
@@ -30,7 +32,12 @@ _EXACT, _NOISY = 1e-6, 0.5  # of a drive's size: how far its periods may differ,
 _EVEN = 1e-3  # of a step: how far printed times may be off an even clock, and the mean of all by far less
 _DIGITS = 1e-3  # relative: what six digits of a spacing near a millisecond leave off
 _SILENT = 1e-9  # of a drive's largest period: less is none
-_VOLTS = ("", "v", "volt", "volts")
+_SCALES = re.compile(r"(?P<of>[nuµμmk]?)(?P<unit>V|Volts?|volts?|v|N|Newtons?|newtons?)")
+_PREFIXED: Mapping[str, float] = MappingProxyType({"": 1.0, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3,
+                                                   "k": 1e3})  # fmt: skip
+_BRACKETS = re.compile(r"[(\[]([^()\[\]]+)[)\]]\s*$")
+_RATES = frozenset({"fs", "sample_rate", "samplerate", "sampling_rate", "srate", "fsamp"})
+_TIMES = frozenset({"t", "time", "times", "t_s", "time_s"})
 _GUESSED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"drive": ("drive", "excitation", "ao", "ao0", "output", "sent", "input voltage"),
      "response": ("response", "laser", "vibrometer", "ldv", "velocity", "ai", "ai0", "sensor")}
@@ -66,8 +73,23 @@ class SweepReader(Reader):
 def waveforms(file: Path, said: Declaration) -> dict[str, Waveform]:
     """All channels of ``file`` by name; "group/channel" in TDMS, "1", "2" in WAV."""
     refuse_stand_in(file)
-    kinds = {".tdms": _tdms, ".lvm": _lvm, ".wav": _wav}
+    kinds = {".tdms": _tdms, ".lvm": _lvm, ".wav": _wav, ".mat": _vectors, ".npz": _vectors, ".h5": _vectors,
+             ".hdf5": _vectors}  # fmt: skip
     return kinds.get(file.suffix.lower(), _table)(file, said)
+
+
+def meaning_of(unit: str) -> tuple[str, float] | None:
+    """What a channel in ``unit`` holds, "V", "N" or a quantity of motion, and its factor to SI; None for others."""
+    plain = unit.strip()
+    if not plain:
+        return "V", 1.0
+    if scaled := _SCALES.fullmatch(plain):
+        return scaled["unit"][0].upper(), _PREFIXED[scaled["of"]]
+    try:
+        known = parse_unit(f"({plain})/V")
+    except DataError:
+        return None
+    return known.quantity, known.factor
 
 
 def read_sweep(
@@ -83,16 +105,19 @@ def read_sweep(
     skip: float = 0.0,
     said: Declaration | None = None,
 ) -> Recording:
-    """A raw sweep as a Recording: ``drive`` and ``response`` are channels [V], ``period`` samples long each.
+    """A raw sweep as a Recording: ``drive`` and ``response`` are channels, ``period`` samples long each.
 
+    A drive is in volts or newtons, a response in volts or a motion, as their units say (volts where they say nothing);
+    ``provenance`` of the Recording names those that are no volts: ``drive`` = N, ``response`` = a quantity, in SI.
     The first whole periods after ``skip`` [s] are taken as they come: leave a lead-in period out when recording, or
     skip it. With ``drive_is_measured`` the drive channel is a loopback. Both channels must have the same increment and
-    beginning, be in volts where they name a unit, and the drive must repeat itself after ``period``; DataError
-    otherwise. ``said`` holds the full scale of WAV files and the rate of files that do not say it.
+    beginning, and the drive must repeat itself after ``period``; DataError otherwise. ``said`` holds the full scale of
+    WAV files and the rate of files that do not say it.
     """
     file = Path(path)
     channels = waveforms(file, said or Declaration())
     x, y = (_of_name(file, channels, name) for name in (drive, response))
+    (drives, x), (moves, y) = _in_si(file, drive, x, driven=True), _in_si(file, response, y, driven=False)
     step = x.step
     if (late := abs(y.begins - x.begins)) > _SIMULTANEOUS * step:
         raise DataError(
@@ -119,8 +144,21 @@ def read_sweep(
     loopback = rows[0] if drive_is_measured else None
     rate = round(1 / step, 6)
     return Recording(
-        output, input, rate, rows[0][0], rows[1], loopback, full_scale, provenance={"file": str(file)}
-    )
+        output, input, rate, rows[0][0], rows[1], loopback, full_scale,
+        provenance={"file": str(file), **({"drive": drives} if drives != "V" else {}),
+                    **({"response": moves} if moves != "V" else {})},
+    )  # fmt: skip
+
+
+def _in_si(file: Path, name: str, found: Waveform, *, driven: bool) -> tuple[str, Waveform]:
+    """What a channel holds, and its samples in SI; DataError for a unit that no drive, or no response, has."""
+    meant = meaning_of(found.unit)
+    if meant is None or (meant[0] not in ("V", "N") if driven else meant[0] == "N"):
+        expected = "volts or newtons" if driven else "volts, or a motion such as m/s^2, g, mm/s or um"
+        raise DataError(
+            f"{file}: channel '{name}' is in '{found.unit}', expected {expected}; correct its unit, or export it in V"
+        )
+    return meant[0], replace(found, samples=found.samples * meant[1]) if meant[1] != 1 else found
 
 
 def channels_of(file: Path, said: Declaration) -> tuple[str, str]:
@@ -152,8 +190,6 @@ def _of_name(file: Path, channels: Mapping[str, Waveform], name: str) -> Wavefor
         raise DataError(
             f"{file}: channel '{name}' does not say its sample rate (wf_increment); add {declare('sample_rate', '...')}"
         )
-    if found.unit.lower() not in _VOLTS:
-        raise DataError(f"{file}: channel '{name}' is in '{found.unit}', expected volts; save it unscaled, in V")
     if found.samples.dtype.kind in "iub":
         raise DataError(
             f"{file}: channel '{name}' holds whole numbers of the converter without a scale, which are no volts; save "
@@ -286,9 +322,34 @@ def _table(file: Path, said: Declaration) -> dict[str, Waveform]:
     times = cells[:, table.header.index("time")]
     step = _clock(file, times)
     return {
-        name: Waveform(cells[:, k], step, float(times[0])) for k, name in enumerate(table.header)
+        name: Waveform(cells[:, k], step, float(times[0]), _bracketed(name)) for k, name in enumerate(table.header)
         if name and name != "time"
     }  # fmt: skip
+
+
+def _bracketed(name: str) -> str:
+    """The unit in brackets at a column's end; "" for other words in brackets."""
+    found = _BRACKETS.search(name)
+    return found[1] if found and meaning_of(found[1]) else ""
+
+
+def _vectors(file: Path, said: Declaration) -> dict[str, Waveform]:
+    """Vectors of MATLAB, numpy or HDF5 beside one of times [s] or a rate [Hz], which may be declared."""
+    readers: dict[str, ArrayReader] = {".mat": MatReader(), ".npz": NpzReader()}
+    arrays = readers.get(file.suffix.lower(), Hdf5Reader()).variables(file)
+    last = {name: re.split(r"[./]", name)[-1].lower() for name in arrays}
+    rates = [float(np.real(a.ravel()[0])) for name, a in arrays.items() if a.size == 1 and last[name] in _RATES]
+    found = {name: np.ravel(a) for name, a in arrays.items() if a.size > 1 and a.size == max(a.shape)
+             and not np.iscomplexobj(a)}  # fmt: skip
+    clocks = [name for name in found if last[name] in _TIMES]
+    begins, step = 0.0, _step(said) or (1 / rates[0] if len(rates) == 1 and rates[0] > 0 else 0.0)
+    if not step and len(clocks) == 1:
+        times = np.asarray(found[clocks[0]], dtype=float)
+        begins, step = float(times[0]), _clock(file, times)
+    channels = {n: Waveform(np.asarray(a, dtype=float), step, begins) for n, a in found.items() if n not in clocks}
+    if not channels:
+        raise DataError(f"{file}: holds no vectors of samples; it has {_listed(arrays)}")
+    return channels
 
 
 def _is_float(cell: str) -> bool:
@@ -348,7 +409,8 @@ def _lvm(file: Path, said: Declaration) -> dict[str, Waveform]:
         size = int(_float(told.get(place, "0")))
         if size and len(samples) % size:  # several runs may follow each other
             raise DataError(
-                f"{file}: '{names[place]}' has {len(samples)} samples, its header says {size}; it is cut short"
+                f"{file}: '{names[place]}' has {len(samples)} samples, its header says {size}; it is cut short, "
+                "or lines were left out, and its clock no longer holds: export it again"
             )
         step = _float(steps[place - 1]) if place <= len(steps) and steps[place - 1].strip() else 0.0
         if said.sample_rate is not None and (not step or abs(step * said.sample_rate - 1) < _DIGITS):

@@ -310,21 +310,26 @@ def scenario_for(
         scenario = _thesis_with_places_of(g)
         notes.append(UNASKED)
     scenario = scenario.changed(read_overrides(overrides)) if overrides else scenario
+    placed, note = on_own_bins(g, scenario)
+    return placed, (*notes, *([note] if note else []))
+
+
+def on_own_bins(g: TransferMatrix, scenario: Scenario) -> tuple[Scenario, str]:
+    """``scenario`` and "", or with a record whose bins ``g`` is on and a note, where ``g`` fits no bins of its own."""
     shape = scenario.rendering.wavelet
     if isinstance(shape, SampledWavelet) or _lies_on(g, scenario):
-        return scenario, tuple(notes)
+        return scenario, ""
     own = wavelet_for(g.frequency, shape.peak).record
-    if is_on_bins(g.frequency, 1 / own.df):
-        sweep = {
-            "sweep.f_min": float(g.frequency[0]), "sweep.f_max": float(min(g.frequency[-1], _HIGHEST)),
-            "sweep.duration": 1 / own.df, "sweep.sample_rate": own.sample_rate,
-        }  # fmt: skip
-        notes.append(
-            f"the record is {1 / own.df:.4g} s at {own.sample_rate:.6g} Hz, whose bins are this G's frequencies: it is "
-            f"not known closely enough for the scenario's ({scenario.sweep.duration:g} s)"
-        )
-        scenario = scenario.changed(sweep)
-    return scenario, tuple(notes)
+    if not is_on_bins(g.frequency, 1 / own.df):
+        return scenario, ""
+    sweep = {
+        "sweep.f_min": float(g.frequency[0]), "sweep.f_max": float(min(g.frequency[-1], _HIGHEST)),
+        "sweep.duration": 1 / own.df, "sweep.sample_rate": own.sample_rate,
+    }  # fmt: skip
+    return scenario.changed(sweep), (
+        f"the record is {1 / own.df:.4g} s at {own.sample_rate:.6g} Hz, whose bins are this G's frequencies: it is not "
+        f"known closely enough for the scenario's ({scenario.sweep.duration:g} s)"
+    )
 
 
 def _lies_on(g: TransferMatrix, scenario: Scenario) -> bool:

@@ -16,9 +16,9 @@ from scipy import optimize, special, stats
 
 from ..errors import DataError
 from ..typing import FloatArray
-from .anova import Effect, repeated_measures
+from .analysis import FACTORS, repeated_measures
 
-Sought = Literal["location", "method", "location x method", "pair"]
+Sought = Literal["location", "method", "location x method"]
 
 
 @dataclass(frozen=True)
@@ -45,17 +45,12 @@ class Power:
 def size_of_pilot(values: FloatArray, sought: Sought) -> Size:
     """The effect that a pilot's cells (n_participant, n_target, n_method) suggest, by the median of what fits its F.
 
-    Participants without all cells are left out; DataError for fewer than three with all, and for "pair".
+    Participants without all cells are left out; DataError for fewer than three with all.
     """
-    if sought == "pair":
-        raise DataError("the pair that differs most in a pilot was chosen for being large; state the least difference "
-                        "that matters with --least, or ask for method")  # fmt: skip
-    effect = _effect(_complete(values), sought)
-    epsilon = min(effect.hf, 1.0) if np.isfinite(effect.hf) else effect.gg
-    d, error = epsilon * effect.df, epsilon * effect.df_error
-    n = round(effect.df_error / effect.df) + 1
-    phi2 = [_noncentrality(effect.f, d, error, share) / (n * epsilon) for share in (0.5, 0.975, 0.025)]
-    return Size(round(effect.df), epsilon, phi2[0], phi2[1], phi2[2])
+    d, n, epsilon, f, _ = _effect(values, sought)
+    phi2 = [_noncentrality(f, epsilon * d, epsilon * d * (n - 1), share) / (n * epsilon)
+            for share in (0.5, 0.975, 0.025)]  # fmt: skip
+    return Size(d, epsilon, *phi2)
 
 
 def size_of_least(values: FloatArray, sought: Sought, least: float) -> Size:
@@ -64,41 +59,26 @@ def size_of_least(values: FloatArray, sought: Sought, least: float) -> Size:
     ``least`` is the difference between two methods (or targets), the others half way between; of the interaction, how
     much larger a difference of methods is at one target than at another.
     """
-    whole = _complete(values)
-    effect, (_, a, b) = _effect(whole, "method" if sought == "pair" else sought), whole.shape
-    epsilon = min(effect.hf, 1.0) if np.isfinite(effect.hf) else effect.gg
-    df = effect.df_error * epsilon
-    square = _error_square(whole, sought)  # of a normalised contrast of cells
-    amount = {"method": a * least**2 / 2, "pair": a * least**2 / 2, "location": b * least**2 / 2,
-              "location x method": least**2 / 4}[sought]  # fmt: skip
-    phi2 = amount / square
+    d, n, epsilon, _, square = _effect(values, sought)
+    a, b = values.shape[1:]
+    phi2 = {"method": a / 2, "location": b / 2, "location x method": 1 / 4}[sought] * least**2 / square
+    df = epsilon * d * (n - 1)
     low, high = (phi2 * stats.chi2.ppf(share, df) / df for share in (0.025, 0.975))
-    d, epsilon = (1, 1.0) if sought == "pair" else (round(effect.df), epsilon)
     return Size(d, epsilon, float(phi2), float(low), float(high))
 
 
-def size_of_scatter(least: float, scatter: float, methods: int, sought: Sought) -> Size:
-    """A least difference of two methods over ``scatter``, the standard deviation of participants' own differences."""
-    if sought not in ("method", "pair"):
-        raise DataError(f"--scatter is of participants' differences between two methods and tells nothing of {sought}; "
-                        "give a --pilot, or ask for method or pair")  # fmt: skip
-    phi2 = (least / scatter) ** 2
-    return Size(1 if sought == "pair" else methods - 1, 1.0, phi2, phi2, phi2)
-
-
 def power_curve(
-    size: Size, participants: Sequence[int], *, alpha: float = 0.05, family: int = 1, studies: int = 4000
+    size: Size, participants: Sequence[int], *, alpha: float = 0.05, studies: int = 4000
 ) -> tuple[Power, ...]:
-    """Power of the Greenhouse-Geisser test for each number of participants; a pair's at alpha / ``family``.
+    """Power of the Greenhouse-Geisser test for each number of participants.
 
     Contrasts of ``studies`` studies are drawn with eigenvalues of that epsilon, the effect in a random direction; the
     three sizes are tried on the same draws.
     """
-    found = []
-    for count in participants:
-        shares = [_share(size, phi2, count, alpha / family, studies) for phi2 in (size.phi2, size.low, size.high)]
-        found.append(Power(count, *shares))
-    return tuple(found)
+    return tuple(
+        Power(count, *(_share(size, phi2, count, alpha, studies) for phi2 in (size.phi2, size.low, size.high)))
+        for count in participants
+    )
 
 
 def _share(size: Size, phi2: float, count: int, alpha: float, studies: int) -> float:
@@ -132,8 +112,6 @@ def _eigenvalues(d: int, epsilon: float) -> FloatArray:
 
 def _noncentrality(f: float, df: float, error: float, share: float) -> float:
     """The noncentrality by which F is below ``f`` in that ``share`` of studies; 0 where none is so small."""
-    if not np.isfinite(f):
-        raise DataError("this pilot's effect has no scatter to compare it with; more participants are needed")
     if stats.f.cdf(f, df, error) <= share:
         return 0.0
 
@@ -148,37 +126,20 @@ def _noncentrality(f: float, df: float, error: float, share: float) -> float:
     return float(optimize.brentq(beyond, 0.0, high, xtol=1e-8))
 
 
-def needed(curve: Sequence[Power], power: float = 0.8) -> int | None:
-    """The least number of participants from which on the share stays at ``power``; None where it is not reached."""
-    enough = None
-    for point in sorted(curve, key=lambda p: -p.participants):
-        if point.share < power:
-            return enough
-        enough = point.participants
-    return enough
-
-
-def _complete(values: FloatArray) -> FloatArray:
-    """Participants with all cells, three or more."""
+def _effect(values: FloatArray, sought: Sought) -> tuple[int, int, float, float, float]:
+    """Contrasts d, complete participants, epsilon, F, and mean square of the scatter of a normalised contrast."""
     whole = values[np.isfinite(values).all(axis=(1, 2))]
-    if len(whole) < 3:
-        raise DataError(f"a pilot needs three participants who answered every cell, got {len(whole)}")
-    return np.asarray(whole)
-
-
-def _effect(whole: FloatArray, sought: Sought) -> Effect:
-    return {e.name: e for e in repeated_measures(whole, ("location", "method"))}[sought]
-
-
-def _error_square(whole: FloatArray, sought: Sought) -> float:
-    """Mean square of the scatter of participants' normalised contrasts of cells."""
-    a, b = (int(n) for n in whole.shape[1:])
-    own = whole - whole.mean(axis=0)
-    own = own - own.mean(axis=(1, 2), keepdims=True)
+    n, a, b = whole.shape
+    if n < 3 or min(a, b) < 2:
+        raise DataError(f"a pilot needs three participants who answered every cell of two methods or more at two "
+                        f"targets or more, got {whole.shape}")  # fmt: skip
+    row = repeated_measures(whole, FACTORS, "Huynh-Feldt").set_index("effect").loc[sought]
+    f, epsilon = float(row["F"]), float(row["epsilon_hf"])
+    d = {"location": a - 1, "method": b - 1, "location x method": (a - 1) * (b - 1)}[sought]
+    if not np.isfinite(f):
+        raise DataError("this pilot's effect has no scatter to compare it with; more participants are needed")
+    own = whole - whole.mean(axis=0) - whole.mean(axis=(1, 2), keepdims=True) + whole.mean()
     by_target, by_method = own.mean(axis=2, keepdims=True), own.mean(axis=1, keepdims=True)
-    square, df = (own - by_target - by_method) ** 2, (a - 1) * (b - 1)
-    if sought == "location":
-        square, df = b * by_target**2, a - 1
-    elif sought in ("method", "pair"):
-        square, df = a * by_method**2, b - 1
-    return float(np.sum(square)) / ((len(whole) - 1) * df)
+    square = {"location": b * by_target**2, "method": a * by_method**2,
+              "location x method": (own - by_target - by_method) ** 2}[sought]  # fmt: skip
+    return d, n, epsilon, f, float(np.sum(square)) / ((n - 1) * d)

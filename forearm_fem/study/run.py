@@ -8,10 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pandas as pd
-
-from ..errors import DataError, MissingExtra, ScenarioError
+from ..errors import DataError, ScenarioError
 from ..files.declaration import Declaration
 from ..geometry.device.layout import planform_ports
 from ..measurement.daq import Daq
@@ -22,11 +19,10 @@ from ..questions.calibrate import DaqKind, hardware, wired
 from ..rendering.job import wavelet
 from ..rendering.wavelet import Wavelet
 from ..scenario import Scenario, load_scenario, scenario_beside
+from ..scenario.measurement import DaqOptions
 from ..transfer import TransferMatrix
-from .devices import BackEnd, back_end
 from .levels import Key, offsets
-from .order import tasks_of, trials
-from .plan import Study, Task, load_study
+from .plan import Study, Task, load_study, tasks_of, trials
 from .server import texts
 from .session import Session
 from .stimuli import DevicePlayer, Stimulus, provenance, refuse_changed, stimuli_for, transfer_of
@@ -102,47 +98,49 @@ def sitting(
     prepared: Prepared, participant: str, task: str | None = None, *, consent: str = "", age: float | None = None,
     sex: str = "", daq: DaqKind | Daq = "virtual", card: str | None = None, cable: Loopback | None = None,
     declaration: Declaration | None = None,
-) -> Iterator[tuple[Session, Made]]:  # fmt: skip
-    """A session of an enrolled (or now enrolled) participant, which nobody else can open meanwhile.
+) -> Iterator[tuple[Session, Made, dict[str, Any]]]:  # fmt: skip
+    """A session of an enrolled (or now enrolled) participant, which nobody else can open meanwhile; what plays.
 
     ``task`` is the participant's next one where none is named. ``cable`` is the loopback measured of the device, kept
     with the answers; ``declaration`` what the participant's G does not say of itself. Raises ScenarioError, DataError
     or HardwareError in one sentence for whatever prevents it.
     """
-    asked = next_task(prepared.store(), participant) if task is None else prepared.study.task(task)
-    refuse_early(prepared.store(), participant, asked)
+    named = None if task is None else prepared.study.task(task)
     made, text = prepared.made(participant, declaration), prepared.consent()
     player, plays = device_player(prepared, made, daq, card=card, cable=cable)
     texts(prepared.study.language, prepared.base)  # refused now: who is enrolled binds the study file
     store = prepared.store(begin=True)
     with store.sitting(participant):
-        store.enrol(participant, consent=consent, age=age, sex=sex, invited=bool(text))
+        with store.locked():  # nobody else gets the place in the study by which the task is found
+            asked = _due(store, participant, named)
+            store.enrol(participant, consent=consent, age=age, sex=sex, invited=bool(text))
         yield Session(
-            store, participant, asked, made.transfer.outputs, player, back_end=plays, sources=made.sources,
-            facts=made.facts(), consent=text,
-        ), made  # fmt: skip
+            store, participant, asked, made.transfer.outputs, player, columns=plays | made.sources, facts=made.facts(),
+            consent=text,
+        ), made, plays  # fmt: skip
 
 
-def next_task(store: StudyStore, participant: str) -> Task:
-    """The first task in a participant's order with trials left; the last one where none is."""
+def _due(store: StudyStore, participant: str, named: Task | None) -> Task:
+    """The task ``named``, else the first in the participant's order with trials left, or the last one.
+
+    DataError where the order of tasks is balanced and another one comes before the one named.
+    """
     order = tasks_of(store.study, place := store.place(participant))
     left = (t for t in order if len(store.answers(participant, t.name)) < len(trials(store.study, t, place)))
-    return next(left, order[-1])
-
-
-def refuse_early(store: StudyStore, participant: str, task: Task) -> None:
-    """DataError where the order of tasks is balanced and another one comes first for this participant."""
-    due = next_task(store, participant)
-    if store.study.order.tasks == "balanced" and due != task and not store.answers(participant, task.name):
+    due = next(left, order[-1])
+    if named is None or named == due:
+        return due
+    if store.study.order.tasks == "balanced" and not store.answers(participant, named.name):
         raise DataError(
-            f"sub-{participant}: {due.name} comes before {task.name} by the balanced order of tasks; leave --task out"
+            f"sub-{participant}: {due.name} comes before {named.name} by the balanced order of tasks; leave --task out"
         )
+    return named
 
 
 def device_player(
     prepared: Prepared, made: Made, daq: DaqKind | Daq, *, card: str | None = None, cable: Loopback | None = None
-) -> tuple[DevicePlayer, BackEnd]:
-    """A player through the virtual device, NI hardware, a sound card, or a device of one's own; what is known of it."""
+) -> tuple[DevicePlayer, dict[str, Any]]:
+    """A player through the virtual device, NI hardware, a sound card, or a device of one's own; columns about it."""
     options, transfer = prepared.scenario.measurement.daq, made.transfer
     rate = prepared.wavelet.record.sample_rate
     if daq == "virtual":  # has channels of its own
@@ -155,37 +153,20 @@ def device_player(
     if cable is not None:
         check_belongs(cable, daq, rate)
     player = DevicePlayer(daq, made.stimuli, rate, options, prepared.study.stimuli)
-    return player, back_end(daq, options, rate, cable)
+    return player, known_of(daq, options, rate, cable)
 
 
-def answers_of(store: StudyStore, task: str) -> pd.DataFrame:
-    """All answers to a task, with ``participant``, withdrawn ones left out; DataError if there is none."""
-    active = [p["participant_id"] for p in store.people() if p["status"] != "withdrawn"]
-    rows = [
-        {"participant": name.removeprefix("sub-"), **row}
-        for name in active
-        for row in store.answers(name.removeprefix("sub-"), task)
-    ]
-    if not rows:
-        raise DataError(f"{store.folder}: nobody has answered task '{task}' yet; `forearm-fem study run` it first")
-    return typed(pd.DataFrame(rows))
+def known_of(daq: Daq, options: DaqOptions, rate: float, cable: Loopback | None) -> dict[str, Any]:
+    """Columns of each trial about what plays.
 
-
-_NUMBERS = (
-    "onset", "duration", "trial", "block", "repetition", "response_x", "response_y", "response_area",
-    "response_time", "late", "presentations", "peak_voltage", "session", "gain", "peak_um", "rms_um", "weighted_db",
-)  # fmt: skip
-
-
-def typed(table: pd.DataFrame) -> pd.DataFrame:
-    """A table of strings with its numbers as numbers; ``n/a`` is missing. DataError for a number that is none."""
-    result = table.replace("n/a", np.nan)
-    for name in (n for n in _NUMBERS if n in result):
-        try:
-            result[name] = pd.to_numeric(result[name])
-        except (ValueError, TypeError) as problem:
-            raise DataError(f"column {name}: {str(problem)[:120]}; expected a number or n/a") from None
-    return result
+    Latency is known of a virtual device, measured by a ``cable``, or declared in the scenario; else it is missing.
+    """
+    late, gain = options.latency or None, None
+    if isinstance(daq, VirtualDaq):
+        late = daq.latency / rate
+    elif cable is not None:
+        late, gain = cable.seconds, cable.gain
+    return {"device": daq.name, "latency": late, "cable_gain": gain}
 
 
 def statuses(store: StudyStore) -> list[tuple[str, str, int, int]]:
@@ -196,12 +177,3 @@ def statuses(store: StudyStore) -> list[tuple[str, str, int, int]]:
         for name in [person["participant_id"].removeprefix("sub-")]
         for task in tasks_of(store.study, place)
     ]  # fmt: skip
-
-
-def require_study_extra() -> None:
-    """MissingExtra where the packages of the extra "study" are not installed."""
-    from importlib.util import find_spec
-
-    for package in ("pandas", "starlette", "uvicorn"):
-        if find_spec(package) is None:
-            raise MissingExtra(package, "study", "a study with people")

@@ -6,21 +6,23 @@ Requests from other origins or under other host names are refused, and no file o
 
 from __future__ import annotations
 
+import asyncio
 import secrets
+import socket
 import tomllib
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from ..errors import DataError, ForearmError, MissingExtra, ScenarioError, optional
+from ..errors import DataError, ForearmError, ScenarioError
 from ..ports import Port
-from .session import Given, Session
+from .session import Session
 
 LANGUAGES = ("en", "de", "nl")
-Act = Callable[[Mapping[str, Any]], None]
-Endpoint = Callable[[Any], Awaitable[Any]]
 
 
 @dataclass(frozen=True)
@@ -57,54 +59,61 @@ def _language(name: str) -> dict[str, str]:
 
 
 def application(
-    session: Session,
-    grid: tuple[Port, ...],
-    words: Mapping[str, str],
-    keys: Secrets,
-    *,
-    beep: bool,
-    hosts: tuple[str, ...],
-    levels: str = "",
-) -> Any:
-    """The web application of one session, for an ASGI server; MissingExtra without starlette.
+    session: Session, grid: tuple[Port, ...], words: Mapping[str, str], keys: Secrets, *, beep: bool,
+    hosts: tuple[str, ...], levels: str = "",
+) -> Any:  # fmt: skip
+    """The web application of one session, for an ASGI server; ``levels`` is what the experimenter is told of them."""
+    from starlette.applications import Starlette
+    from starlette.concurrency import run_in_threadpool
+    from starlette.middleware import Middleware
+    from starlette.middleware.trustedhost import TrustedHostMiddleware
+    from starlette.responses import HTMLResponse, JSONResponse, Response
+    from starlette.routing import Route
 
-    ``levels`` is what the experimenter is told of how strong methods are.
-    """
-    try:
-        from starlette.applications import Starlette
-        from starlette.middleware import Middleware
-        from starlette.middleware.trustedhost import TrustedHostMiddleware
-        from starlette.routing import Route
-    except ImportError:
-        raise MissingExtra("starlette", "study", "the participant's page") from None
-
-    leader, subject = frozenset({keys.experimenter}), frozenset({keys.participant})
-    both = leader | subject
-    scene = {
-        "words": dict(words),
-        "beep": beep,
-        "consent": session.consent_text,
-        "grid": [{"name": p.name, "x": p.position[0], "y": p.position[1]} for p in grid],
-    }
-    reads: Mapping[str, tuple[frozenset[str], Callable[[str], str | dict[str, Any]]]] = {
+    points = [{"name": p.name, "x": p.position[0], "y": p.position[1]} for p in grid]
+    scene = {"words": dict(words), "beep": beep, "consent": session.consent_text, "grid": points}
+    leader, subject, both = {keys.experimenter}, {keys.participant}, {keys.experimenter, keys.participant}
+    shown: Mapping[str, tuple[set[str], Callable[[Any], Any]]] = {
         "/p/{key}": (subject, lambda _: _page("participant")),
         "/e/{key}": (leader, lambda _: _page("experimenter")),
         "/api/{key}/setup": (both, lambda _: scene),
         "/api/{key}/state": (both, lambda key: _state(session, levels, led=key == keys.experimenter)),
     }
-    acts: Mapping[str, tuple[frozenset[str], Act]] = {
-        "consent": (subject, lambda _: session.consent()),
-        "start": (both, lambda _: session.start()),
-        "present": (subject, lambda _: session.present()),
-        "answer": (subject, lambda body: session.answer(given(body))),
-        "pause": (leader, lambda _: session.pause()),
-        "repeat": (leader, lambda _: session.repeat()),
+    done: Mapping[str, tuple[set[str], Callable[[Any], Any]]] = {
+        "/api/{key}/consent": (subject, lambda _: session.consent()),
+        "/api/{key}/start": (both, lambda _: session.start()),
+        "/api/{key}/present": (subject, lambda _: session.present()),
+        "/api/{key}/answer": (subject, lambda body: session.answer(*_given(body))),
+        "/api/{key}/pause": (leader, lambda _: session.pause()),
+        "/api/{key}/repeat": (leader, lambda _: session.repeat()),
     }
-    routes = [Route(path, _shown(who, content)) for path, (who, content) in reads.items()]
-    routes += [
-        Route(f"/api/{{key}}/{name}", _done(session, who, do, hosts), methods=["POST"])
-        for name, (who, do) in acts.items()
-    ]
+
+    async def answer(request: Any, who: set[str], what: Callable[[Any], Any]) -> Any:
+        """Show or do what is asked by whose key it is; refusals in words, and nothing for anybody else."""
+        key = str(request.path_params["key"])
+        if not any([secrets.compare_digest(key.encode(), own.encode()) for own in who]):
+            return Response("not found", 404)
+        if request.method != "POST":
+            found = what(key)
+            return (HTMLResponse if isinstance(found, str) else JSONResponse)(found, headers=_HEADERS)
+        origin = request.headers.get("origin")  # browsers name it at every POST, programs on this machine need not
+        if origin is not None and origin not in {f"http://{h}" for h in hosts}:
+            return Response("another origin", 403)
+        try:
+            body = await request.json() if int(request.headers.get("content-length") or 0) else {}
+            if not isinstance(body, dict):
+                raise DataError("expected a JSON object")
+            await run_in_threadpool(what, body)
+        except ForearmError as problem:
+            return JSONResponse({"problem": str(problem)}, 409, headers=_HEADERS)
+        except (ValueError, TypeError, KeyError):
+            return JSONResponse({"problem": "the answer is not readable"}, 400, headers=_HEADERS)
+        return JSONResponse(session.view() | {"problem": ""}, headers=_HEADERS)
+
+    routes = [
+        Route(path, partial(answer, who=who, what=what), methods=[method])
+        for method, asked in (("GET", shown), ("POST", done)) for path, (who, what) in asked.items()
+    ]  # fmt: skip
     names = [h.partition(":")[0] for h in hosts]
     return Starlette(routes=routes, middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=names)])
 
@@ -123,89 +132,29 @@ def _state(session: Session, levels: str, *, led: bool) -> dict[str, Any]:
     return view | {"participant": session.participant, "task": session.task.name, "trial": shown, "levels": levels}
 
 
-def _shown(who: frozenset[str], content: Callable[[str], str | dict[str, Any]]) -> Endpoint:
-    """Answers ``content(key)``, a page or an object, to those ``who`` have the key."""
-    from starlette.responses import HTMLResponse, JSONResponse, Response
-
-    async def answer(request: Any) -> Any:
-        """The page or the state for whose key it is, else not found."""
-        if not (key := _key(request, who)):
-            return Response("not found", 404)
-        found = content(key)
-        return (HTMLResponse if isinstance(found, str) else JSONResponse)(found, headers=_HEADERS)
-
-    return answer
-
-
-def _done(session: Session, who: frozenset[str], do: Act, hosts: tuple[str, ...]) -> Endpoint:
-    """Does what those ``who`` have the key ask for, in a thread, and answers how the session stands then."""
-    from starlette.concurrency import run_in_threadpool
-    from starlette.responses import JSONResponse, Response
-
-    async def answer(request: Any) -> Any:
-        """Do what is asked by whose key it is; refusals in words."""
-        if not _key(request, who):
-            return Response("not found", 404)
-        origin = request.headers.get("origin")  # browsers name it at every POST, programs on this machine need not
-        if origin is not None and origin not in {f"http://{h}" for h in hosts}:
-            return Response("another origin", 403)
-        try:
-            body = await request.json() if int(request.headers.get("content-length") or 0) else {}
-            if not isinstance(body, dict):
-                raise DataError("expected a JSON object")
-            await run_in_threadpool(do, body)
-        except ForearmError as problem:
-            return JSONResponse({"problem": str(problem)}, 409, headers=_HEADERS)
-        except (ValueError, TypeError, KeyError):
-            return JSONResponse({"problem": "the answer is not readable"}, 400, headers=_HEADERS)
-        return JSONResponse(session.view() | {"problem": ""}, headers=_HEADERS)
-
-    return answer
-
-
-def _key(request: Any, who: frozenset[str]) -> str:
-    """The key in the address if it is one of ``who``, compared in constant time; else nothing."""
-    found = str(request.path_params["key"])
-    return found if any([secrets.compare_digest(found.encode(), key.encode()) for key in who]) else ""
-
-
+_INLINE = "script-src 'unsafe-inline'; style-src 'unsafe-inline'"
 _HEADERS = {
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": (
-        "default-src 'self'; img-src data:; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
-    ),
-    "X-Frame-Options": "DENY",
-    "Referrer-Policy": "no-referrer",
-}
+    "Content-Security-Policy": f"default-src 'self'; img-src data:; {_INLINE}",
+    "Cache-Control": "no-store", "X-Frame-Options": "DENY", "Referrer-Policy": "no-referrer",
+}  # fmt: skip
 
 
-def given(body: Mapping[str, Any]) -> Given:
-    """An answer from JSON: ``points`` (names) or ``outline`` ([[x, y], ...] in metres), and ``answered``, how many
-    trials were over when the page asked."""
-    import numpy as np
-
-    seen = None if body.get("answered") is None else int(body["answered"])
-    if "outline" in body:
-        return Given(strokes=np.asarray(body["outline"], dtype=float), answered=seen)
-    points = body["points"]
+def _given(body: Mapping[str, Any]) -> tuple[tuple[str, ...], int | None]:
+    """Names of ``points`` from JSON, and ``answered``, how many trials were over when the page asked."""
+    points, answered = body["points"], body.get("answered")
     if not isinstance(points, list) or len(points) > 1000:
         raise DataError("points: expected a list of grid points")
-    return Given(points=tuple(str(p) for p in points), answered=seen)
+    return tuple(str(p) for p in points), None if answered is None else int(answered)
 
 
 def addresses(host: str) -> tuple[str, ...]:
     """Names under which pages bound to ``host`` are reached, first one that other machines can use if any can."""
-    import socket
-
     if host not in ("0.0.0.0", ""):
         return (host,)
     own = [str(info[4][0]) for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:  # asks the routing table; sends nothing
-        try:
-            probe.connect(("192.0.2.1", 9))
-            own.insert(0, str(probe.getsockname()[0]))
-        except OSError:
-            pass
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
+        probe.connect(("192.0.2.1", 9))  # asks the routing table; sends nothing
+        own.insert(0, str(probe.getsockname()[0]))
     others = [a for a in own if not a.startswith("127.")]
     return tuple(dict.fromkeys((*others, socket.gethostname().lower(), *own)))
 
@@ -220,10 +169,8 @@ def serve(
     announced are then addresses that others can use. Port 0 takes a free one. Failures of the device appear on the
     experimenter's page. Raises DataError where host or port cannot be used.
     """
-    import asyncio
-    import socket
+    import uvicorn
 
-    uvicorn = optional("uvicorn", "study", "the participant's page")
     keys, listening = Secrets(), socket.socket()
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:

@@ -11,19 +11,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from threading import RLock
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 
 from ..errors import DataError, ForearmError
 from ..ports import Port
-from ..typing import FloatArray
-from .devices import BackEnd
-from .order import Trial, trials
-from .plan import Task
+from .plan import Task, Trial, trials
 from .store import StudyStore
 
-_MOST_DRAWN = 200  # points of a line that are kept, evenly chosen
 Waiting = Literal["consent", "start", "stimulus", "playing", "answer", "break", "pause", "done"]
 
 
@@ -35,31 +31,14 @@ class Presented:
     peak_voltage: float
 
 
-class Player(Protocol):
-    """Plays a stimulus and returns when it is over; HardwareError where the device fails."""
-
-    def __call__(self, method: str, target: str) -> Presented:
-        """Play ``method`` towards ``target``."""
-        ...
-
-
-@dataclass(frozen=True)
-class Given:
-    """An answer: names of grid points, or ``strokes`` (n, 2) [m] drawn as one closed outline.
-
-    ``answered`` is how many trials were answered when the page asked; None where the asker cannot be out of date.
-    """
-
-    points: tuple[str, ...] = ()
-    strokes: FloatArray | None = None
-    answered: int | None = None
+Player = Callable[[str, str], Presented]  # plays a method towards a target and returns when that is over
 
 
 class Session:
     """A participant's session; safe to call from several threads.
 
-    ``sources`` and ``facts``, the latter by method and target, are columns of each trial: what its stimulus was made
-    from, and how strong it is. To a text of ``consent`` the participant agrees before the first trial.
+    ``columns`` of each trial are the same in all: what its stimulus was made from, and what plays; ``facts``, by method
+    and target, say how strong it is. To a text of ``consent`` the participant agrees before the first trial.
     """
 
     def __init__(
@@ -71,8 +50,7 @@ class Session:
         player: Player,
         clock: Callable[[], float] = time.monotonic,
         *,
-        back_end: BackEnd | None = None,
-        sources: Mapping[str, str] | None = None,
+        columns: Mapping[str, Any] | None = None,
         facts: Mapping[tuple[str, str], Mapping[str, Any]] | None = None,
         consent: str = "",
     ) -> None:
@@ -80,7 +58,7 @@ class Session:
         self._clock = clock
         self._places = {p.name: np.array(p.position[:2]) for p in grid}
         self._trials, self.consent_text = trials(store.study, task, store.place(participant)), consent
-        self._sources, self._facts = sources or {}, facts or {}
+        self._columns, self._facts = columns or {}, facts or {}
         if missing := [t for t in store.study.stimuli.targets if t not in self._places]:
             raise DataError(f"stimuli.targets: '{missing[0]}' is no output of G; it has {', '.join(self._places)}")
         self._lock = RLock()
@@ -97,7 +75,6 @@ class Session:
         self._waiting: Waiting = "done" if self._answered == len(self._trials) else first
         played = max((float(r["onset"]) + float(r["duration"]) for r in done), default=0.0)
         self._begun, self._presented, self._last = self._clock() - played, 0, Presented(0.0, 0.0)
-        self.back_end, self._told = back_end or BackEnd("unknown", float("nan")), False
         self._onset = self._over = self._break_until = 0.0
         self.problem = ""
 
@@ -172,28 +149,24 @@ class Session:
             if self._waiting == "playing":
                 self._waiting = "answer"
 
-    def answer(self, given: Given) -> None:
-        """Record an answer to what was presented, on the disk when this returns; DataError for what was not asked."""
+    def answer(self, points: Sequence[str], answered: int | None = None) -> None:
+        """Record grid points as the answer, on the disk when this returns; DataError for what was not asked.
+
+        ``answered`` is how many trials were over when the page asked; None where the asker cannot be out of date.
+        """
         with self._lock:
             trial = self.current
             if self._waiting != "answer" or trial is None:
                 raise DataError("no answer is due now: the stimulus has not been played, or was answered already")
-            if given.answered not in (None, self._answered):
-                raise DataError(f"that answer was to trial {given.answered + 1}, which is over; look at the page again")
-            seconds = self._clock() - self._over
-            limit = self.task.answer_seconds
+            if answered not in (None, self._answered):
+                raise DataError(f"that answer was to trial {answered + 1}, which is over; look at the page again")
             row = {
                 "onset": self._onset - self._begun, "duration": self._last.seconds, "trial": trial.number,
                 "phase": trial.phase, "block": trial.block, "method": trial.method, "target": trial.target,
-                "repetition": trial.repetition, **self._response(given),
-                "response_time": seconds, "late": int(limit is not None and seconds > limit),
+                "repetition": trial.repetition, **self._response(points), "response_time": self._clock() - self._over,
                 "presentations": self._presented, "peak_voltage": self._last.peak_voltage, "session": self._number,
-                "date": _today(), **self._sources, **self._facts.get((trial.method, trial.target), {}),
+                "date": _today(), **self._columns, **self._facts.get((trial.method, trial.target), {}),
             }  # fmt: skip
-            if not self._told:
-                who = {"participant_id": f"sub-{self.participant}", "task": self.task.name, "session": self._number}
-                self._store.add_device(who | self.back_end.row)
-                self._told = True
             self._store.add(self.participant, self.task.name, row)
             self._answered, self._presented = self._answered + 1, 0
             following = self.current
@@ -204,18 +177,10 @@ class Session:
             else:
                 self._waiting, self._break_until = "break", self._clock() + self.task.break_seconds
 
-    def _response(self, given: Given) -> dict[str, Any]:
-        kind = self.task.answer
-        if kind == "drawing":
-            centre, area = _outline(given.strokes)
-            points = np.asarray(given.strokes, dtype=float)
-            some = np.unique(np.linspace(0, len(points) - 1, min(len(points), _MOST_DRAWN)).round().astype(int))
-            drawn = " ".join(f"{1e3 * x:.2f},{1e3 * y:.2f}" for x, y in points[some])
-            return {"response_x": float(centre[0]), "response_y": float(centre[1]), "response_area": area,
-                    "response_outline": drawn}  # fmt: skip
-        names = tuple(dict.fromkeys(given.points))
-        if not names or (kind == "one point" and len(names) > 1):
-            raise DataError("choose one point" if kind == "one point" else "choose one point or more")
+    def _response(self, points: Sequence[str]) -> dict[str, Any]:
+        names, one = tuple(dict.fromkeys(points)), self.task.answer == "one point"
+        if not names or (one and len(names) > 1):
+            raise DataError("choose one point" if one else "choose one point or more")
         if unknown := [n for n in names if n not in self._places]:
             raise DataError(f"'{unknown[0][:20]}' is no grid point; choose among {', '.join(self._places)}")
         x, y = np.mean([self._places[n] for n in names], axis=0)
@@ -224,17 +189,3 @@ class Session:
 
 def _today() -> str:
     return datetime.now(UTC).date().isoformat()
-
-
-def _outline(strokes: FloatArray | None) -> tuple[FloatArray, float]:
-    """Centroid [m] and area [m2] of a closed outline (n, 2), by the shoelace formula."""
-    points = np.asarray(strokes if strokes is not None else (), dtype=float)
-    if points.ndim != 2 or points.shape[1] != 2 or not 3 <= len(points) <= 10_000 or not np.all(np.isfinite(points)):
-        raise DataError("draw an outline around where you felt it")
-    origin = points.mean(axis=0)
-    p, q = points - origin, np.roll(points - origin, -1, axis=0)
-    cross = p[:, 0] * q[:, 1] - q[:, 0] * p[:, 1]
-    area = cross.sum() / 2
-    if abs(area) < 1e-9:  # a square of 0.03 mm: a dot or a line
-        return origin, 0.0
-    return origin + ((p + q) * cross[:, None]).sum(axis=0) / (6 * area), float(abs(area))

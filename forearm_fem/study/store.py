@@ -1,9 +1,8 @@
 """What a study leaves on disk: tables as BIDS lays them out, one line per answer, safe before the next stimulus plays.
 
-``participants.tsv`` (pseudonyms, age, sex, consent, status), per participant ``beh/sub-ID_task-NAME_events.tsv`` with a
-data dictionary beside it, and ``devices.tsv``: what played at each sitting, and what is known of its latency and level.
-Lines are appended and flushed to the disk; a line cut short by a power failure is taken off when the file is opened
-again, so its trial is presented anew and nothing stands there twice.
+``participants.tsv`` (pseudonyms, age, sex, consent, status), and per participant ``beh/sub-ID_task-NAME_events.tsv``
+with a data dictionary beside it. Lines are appended and flushed to the disk; a line cut short by a power failure is
+taken off when the file is opened again, so its trial is presented anew and nothing stands there twice.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ import hashlib
 import io
 import json
 import os
+import re
 import shutil
 import socket
 from collections.abc import Iterator, Mapping, Sequence
@@ -38,15 +38,15 @@ EVENTS: Mapping[str, str] = {
     "method": "renderer",
     "target": "grid point aimed at",
     "repetition": "of this method at this target, from 1",
-    "response": "grid points answered, separated by spaces; n/a for a drawing",
-    "response_x": "centre of the answer along the limb [m]; mean of the points, centroid of a drawing",
-    "response_y": "centre of the answer across the limb [m]",
-    "response_area": "area drawn [m2]; n/a for points",
-    "response_outline": "outline drawn: x,y pairs along and across the limb [mm], separated by spaces; n/a for points",
+    "response": "grid points answered, separated by spaces",
+    "response_x": "mean of the points answered, along the limb [m]",
+    "response_y": "mean of the points answered, across the limb [m]",
     "response_time": "from the end of the stimulus to the answer [s]",
-    "late": "1 where the answer came after answer_seconds",
     "presentations": "times the stimulus was played before the answer counted (1 unless repeated or resumed)",
     "peak_voltage": "largest drive at an actuator [V]",
+    "device": "what played",
+    "latency": "of the device, output and input together [s]; n/a: not measured, and within response_time",
+    "cable_gain": "what a cable from an output returned [V/V]; n/a: not measured, full scale is the scenario's",
     "session": "number of the sitting in which it was answered, from 1",
     "date": "of the answer (UTC)",
     "gain": "of the stimulus re as its renderer made it [dB]",
@@ -68,29 +68,14 @@ _PEOPLE: Mapping[str, str] = {
     "status": "invited, active or withdrawn",
     "added": "date of enrolment",
 }
-DEVICES: Mapping[str, str] = {
-    "participant_id": "pseudonym",
-    "task": "of the study",
-    "session": "number of the sitting, from 1, as in the events",
-    "device": "what played",
-    "sample_rate": "of the stimuli [Hz]",
-    "latency": "output and input together [s]; n/a: unknown",
-    "latency_basis": "known, measured, declared or unknown",
-    "gain": "what a cable returns over what was sent [V/V]; n/a: unknown",
-    "full_scale": "of the outputs [V]",
-    "level_basis": "known, declared (the scenario's full scale) or declared and checked by a cable",
-}
 ANALYSIS, STIMULI = "analysis", "stimuli"  # folders of what is made of the answers, and for other programs
 _PEOPLE_LOCK = ".participants.lock"
 _NUMBERS = ("onset", "duration", "response_time")  # BIDS itself says that they are numbers
-_IGNORED = (
-    "study.json", "folder.json", "SHA256SUMS", "stimuli/", ".*.lock", "devices.tsv", "devices.json", ANALYSIS,
-    "*.png",
-)  # fmt: skip
+_IGNORED = ("study.json", "folder.json", "SHA256SUMS", f"{STIMULI}/", ".*.lock", ANALYSIS)
 _README = """Study "{name}", run with forearm_fem {version}.
 
-participants.tsv holds pseudonyms, sub-*/beh the answers of each task with their dictionaries, devices.tsv what played
-and what is known of its latency and level, study.json the study as it was when data were first taken.
+participants.tsv holds pseudonyms, sub-*/beh the answers of each task with their dictionaries, study.json the study as
+it was when data were first taken.
 """
 
 
@@ -142,6 +127,10 @@ class StudyStore:
         name = f"sub-{participant}"
         return 1 + (names.index(name) if name in names else len(names))
 
+    def locked(self) -> FileLock:
+        """A lock of the list of participants over processes; the one that holds it may take it again."""
+        return FileLock(self.folder / _PEOPLE_LOCK, is_singleton=True)
+
     def enrol(self, participant: str, *, consent: str = "", age: float | None = None, sex: str = "",
               invited: bool = False) -> None:  # fmt: skip
         """Add a participant once, or what was not known of one; DataError for one who was withdrawn.
@@ -150,21 +139,21 @@ class StudyStore:
         stimuli are made, or who will agree on the page.
         """
         name = f"sub-{participant}"
-        row = next((p for p in self.people() if p["participant_id"] == name), None)
-        if row is not None and row["status"] == "withdrawn":
-            raise DataError(f"{name} was withdrawn; take another pseudonym")
-        if not consent and not invited and (row is None or row["consent"] == "n/a"):
-            raise DataError(f"{name}: no consent is recorded; give its date, e.g. --consent 2026-11-24")
-        if consent:
-            _checked_date(name, consent)
-        known = {"age": age, "sex": sex, "consent": consent, "status": "active" if consent else ""}
-        told = {k: _cell(v) for k, v in known.items() if v not in ("", None)}
-        if row is None:
-            told = {"participant_id": name, "status": "invited", "added": date.today().isoformat(), **told}
-            with FileLock(self.folder / _PEOPLE_LOCK):
+        with self.locked():
+            row = next((p for p in self.people() if p["participant_id"] == name), None)
+            if row is not None and row["status"] == "withdrawn":
+                raise DataError(f"{name} was withdrawn; take another pseudonym")
+            if not consent and not invited and (row is None or row["consent"] == "n/a"):
+                raise DataError(f"{name}: no consent is recorded; give its date, e.g. --consent 2026-11-24")
+            if consent:
+                _checked_date(name, consent)
+            known = {"age": age, "sex": sex, "consent": consent, "status": "active" if consent else ""}
+            told = {k: _cell(v) for k, v in known.items() if v not in ("", None)}
+            if row is None:
+                told = {"participant_id": name, "status": "invited", "added": date.today().isoformat(), **told}
                 _append(self.folder / "participants.tsv", self._columns(), told)
-        elif changed := {k: v for k, v in told.items() if row[k] in ("n/a", "invited")}:
-            self._change(name, changed)
+            elif changed := {k: v for k, v in told.items() if row[k] in ("n/a", "invited")}:
+                self._change(name, changed)
 
     def consented(self, participant: str) -> bool:
         """Whether a participant's consent is recorded."""
@@ -179,7 +168,7 @@ class StudyStore:
         return tuple(self.people()[0]) if self.people() else tuple(_PEOPLE)
 
     def _change(self, name: str, changed: Mapping[str, str]) -> None:
-        with FileLock(self.folder / _PEOPLE_LOCK):  # another participant's process may add a line meanwhile
+        with self.locked():  # another participant's process may add a line meanwhile
             rows = [{**r, **changed} if r["participant_id"] == name else r for r in self.people()]
             write_text(self.folder / "participants.tsv", _table(self._columns(), rows))
 
@@ -194,7 +183,8 @@ class StudyStore:
             who = holder.read_text(encoding="utf-8") if holder.exists() else "another process"
             raise DataError(f"sub-{participant}: {who} holds this participant's session; end it, or wait") from None
         try:
-            holder.write_text(f"process {os.getpid()} on {socket.gethostname()}, since {_now()},", encoding="utf-8")
+            since = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
+            holder.write_text(f"process {os.getpid()} on {socket.gethostname()}, since {since},", encoding="utf-8")
             yield
         finally:
             holder.unlink(missing_ok=True)
@@ -211,10 +201,6 @@ class StudyStore:
         for made in (self.folder / ANALYSIS).glob("*"):
             if made.suffix in (".csv", ".png", ".html", ".R"):
                 made.unlink()
-        if kept := [r for r in self.devices() if r["participant_id"] != name]:
-            write_text(self.folder / "devices.tsv", _table(tuple(DEVICES), kept))
-        else:
-            (self.folder / "devices.tsv").unlink(missing_ok=True)
         shutil.rmtree(self.folder / STIMULI / name, ignore_errors=True)
         stays = {"participant_id", "status", "added", "consent"}
         self._change(name, {**{k: "n/a" for k in self._columns() if k not in stays}, "status": "withdrawn"})
@@ -234,23 +220,13 @@ class StudyStore:
             write_text(file.with_suffix(".json"), _dictionary(EVENTS, {"TaskName": task}))
         _append(file, tuple(EVENTS), row)
 
-    def add_device(self, row: Mapping[str, Any]) -> None:
-        """Record what plays at a sitting, before its first answer."""
-        if not (self.folder / "devices.tsv").exists():
-            write_text(self.folder / "devices.json", _dictionary(DEVICES))
-        _append(self.folder / "devices.tsv", tuple(DEVICES), row)
-
-    def devices(self) -> list[dict[str, str]]:
-        """Rows of ``devices.tsv``."""
-        return read_table(self.folder / "devices.tsv", tuple(DEVICES))
-
 
 def _dictionary(columns: Mapping[str, str], facts: Mapping[str, str] | None = None) -> str:
     """A data dictionary in the manner of BIDS: ``facts``, and description and unit of each column."""
     told: dict[str, Any] = dict(facts or {})
     for name, text in columns.items():
-        unit = text.rpartition("[")[2].partition("]")[0] if text.partition(";")[0].endswith("]") else ""
-        told[name] = {"Description": text} | ({"Units": unit} if unit else {})
+        unit = re.search(r"\[(.*?)\](?:;|$)", text)
+        told[name] = {"Description": text} | ({"Units": unit[1]} if unit else {})
         told[name] |= {"Format": "number"} if name in _NUMBERS else {}
     return json.dumps(told, indent=2, ensure_ascii=False)
 
@@ -281,10 +257,6 @@ def _checked_date(name: str, day: str) -> None:
         date.fromisoformat(day)
     except ValueError:
         raise DataError(f"{name}: --consent expects the date of signing, e.g. 2026-11-24, got '{day}'") from None
-
-
-def _now() -> str:
-    return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
 def _take_off_torn_line(file: Path) -> None:

@@ -14,13 +14,14 @@ from typing import Any
 import meshio
 import numpy as np
 import pyvista
+from vtkmodules.vtkCommonCore import vtkLogger
 
 from ...contents import stand_in
 from ...errors import MeshError, MissingExtra
 from ...store.folder import atomic_path
 from ...typing import IntArray
 from .abaqus import read_inp
-from .formats import read_exodus, read_febio, read_nastran, read_unv, read_xdmf, text_mesh
+from .formats import read_exodus, read_febio, read_nastran, read_unv, read_xdmf
 from .tissue_mesh import TissueMesh
 
 _REGION, _BOUNDARY = "region {} {}", "boundary {}"
@@ -111,65 +112,88 @@ _BEGINNINGS = (
     (b"(0 ", "is a mesh of Ansys Fluent, which is not read; export Abaqus .inp, Nastran .bdf or .vtu"),
     (b"/COM,ANSYS", "is of Ansys, which is not read; export Abaqus .inp, Nastran .bdf or .vtu"),
     (b"PK\x03\x04", "is an archive; unpack it first"),
+    (b"# COMSOL", "is of COMSOL, which is not read; export Nastran .bdf there"),
+    (b"*KEYWORD", "is of LS-DYNA, which is not read; export Abaqus .inp, Nastran .bdf or .vtu"),
 )
 
 
+_TEXTS = (".inp", ".msh", ".txt", ".dat")
+_EXODUS = (".e", ".g", ".gen", ".ex2", ".exo", ".exii", ".exodus")
+_MARKS_OF_NETCDF = (b"CDF\x01", b"CDF\x02", b"CDF\x05", b"\x89HDF")
+_AVS = re.compile(rb"\s*(#.*\n)*\s*\d+\s+\d+(\s+\d+){3}\s*\n")
+_ABAQUS = re.compile(rb"\s*(\*\*.*\n)*\s*\*(NODE|HEADING|PART|INCLUDE|ELEMENT)\b", re.IGNORECASE)
+
+
 def _by_kind(file: Path, ending: str, head: bytes) -> Any:
-    """The mesh by the reader of its kind; what meshio cannot read of VTK's files is read by VTK."""
-    if ending == ".inp":
-        first = next((line for line in head.splitlines() if line.strip()), b"")
-        if re.fullmatch(rb"\s*\d+\s+\d+(\s+\d+){3}\s*", first) or first.startswith(b"#"):
-            return _avs(file)
+    """The mesh by the reader of its kind, told by how it begins where an ending is of several; VTK reads its own."""
+    if ending in _TEXTS and _ABAQUS.match(head):
         return read_inp(file)
+    if ending == ".inp" and (_AVS.match(head) or b"\0" in head[:64]):
+        mesh = _vtk(file)
+        mesh.cell_data = {k.replace("Material Id", "avsucd:material"): v for k, v in mesh.cell_data.items()}
+        return mesh
+    if ending == ".inp":
+        return read_inp(file)
+    if ending in _EXODUS and head.startswith(_MARKS_OF_NETCDF):
+        return read_exodus(file)
     if ending in _READERS:
         return _READERS[ending](file)
     if ending == ".dat" and re.search(rb"^\s*(GRID|BEGIN\s+BULK)", head, re.MULTILINE | re.IGNORECASE):
         return read_nastran(file)
     if ending in (".vtk", ".vtu", ".pvtu"):
         return _vtk(file)
+    if ending not in meshio.extension_to_filetypes:
+        raise MeshError(
+            f"{file}: '{ending}' is no kind of mesh that is known; export it as .vtu, .msh or .inp, in gmsh, ParaView "
+            "or the program that made it"
+        )
     return meshio.read(file)
 
 
-def _avs(file: Path) -> Any:
-    """A mesh of AVS, whose counts stand in its first line."""
-    mesh = meshio.read(file, file_format="avsucd")
-    lines = (line for line in text_mesh(file).split("\n") if line.strip() and not line.startswith("#"))
-    told = [int(w) for w in next(lines).split()[:2]]
-    _counted(file, told, mesh)
-    return mesh
+def by_vtk(file: Path) -> Any:
+    """What VTK's own library reads of ``file``, which knows all its versions; what it complains of is raised."""
+    before = vtkLogger.GetCurrentVerbosityCutoff()
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
+    try:
+        with pyvista.VtkErrorCatcher(raise_errors=True, send_to_logging=False), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return pyvista.read(file)
+    finally:
+        vtkLogger.SetStderrVerbosity(before)
 
 
-def _counted(file: Path, told: list[int], mesh: Any) -> None:
-    """MeshError where ``told`` (points, cells) are others than came."""
-    came = [len(mesh.points), sum(len(c.data) for c in mesh.cells)]
-    if came != told:
-        raise MeshError(
-            f"{file}: says it holds {told[0]} points and {told[1]} cells, and {came[0]} and {came[1]} could be read; "
-            "it is cut short, or export it as .vtu"
-        )
+_OF_VTK: Mapping[int, str] = MappingProxyType({
+    1: "vertex", 3: "line", 5: "triangle", 9: "quad", 10: "tetra", 12: "hexahedron", 13: "wedge", 14: "pyramid",
+    21: "line3", 22: "triangle6", 23: "quad8", 24: "tetra10",
+})  # fmt: skip
+_FLAT_OF_VTK = frozenset({0, 2, 4, 6, 7, 8, 28, 30, 34, 35, 36, 51, 52, 53, 54, 60, 61, 62, 63, 68, 69, 70, 75, 76, 77})
 
 
 def _vtk(file: Path) -> Any:
-    """A mesh of VTK, by its own library, which knows all its versions."""
-    with pyvista.VtkErrorCatcher(raise_errors=True, send_to_logging=False):
-        grid = pyvista.read(file)
+    """A mesh of VTK, or of AVS, which VTK reads, too; lines and surfaces of kinds without use are left out."""
+    grid = by_vtk(file)
     if isinstance(grid, pyvista.MultiBlock):
         raise MeshError(f"{file}: holds {grid.n_blocks} blocks; give one unstructured grid")
     if not isinstance(grid, pyvista.UnstructuredGrid):
         raise MeshError(f"{file}: holds a {type(grid).__name__}, expected an unstructured grid of tetrahedra")
-    types = {1: "vertex", 3: "line", 5: "triangle", 9: "quad", 10: "tetra", 12: "hexahedron", 13: "wedge",
-             14: "pyramid", 22: "triangle6", 23: "quad8", 24: "tetra10", 21: "line3"}  # fmt: skip
-    cells, data = list[Any](), dict[str, list[Any]]()
     if not grid.n_cells:
         raise MeshError(f"{file}: holds no cells")
+    kinds = np.unique(grid.celltypes).tolist()
+    if others := [k for k in kinds if k not in _OF_VTK and k not in _FLAT_OF_VTK]:
+        named = ", ".join(pyvista.CellType(k).name.lower().replace("_", " ") for k in others[:3])
+        raise MeshError(f"{file}: contains {named} cells, but only tetrahedra can be used; split them")
+    if flat := _FLAT_OF_VTK & {*kinds}:
+        if not {10, 24} & {*kinds}:
+            raise MeshError(f"{file}: contains no tetrahedra, but lines or surfaces; mesh the volume")
+        grid = grid.extract_cells([k for k, kind in enumerate(grid.celltypes.tolist()) if kind not in flat])
+    cells, data = list[Any](), dict[str, list[Any]]()
     for kind, nodes in grid.cells_dict.items():
-        cells.append((types.get(int(kind), f"VTK {kind}"), np.asarray(nodes, dtype=np.int64)))
+        cells.append(meshio.CellBlock(_OF_VTK[int(kind)], np.asarray(nodes, dtype=np.int64)))
         rows = np.flatnonzero(grid.celltypes == kind)
         for name, values in grid.cell_data.items():
             data.setdefault(name, []).append(np.asarray(values)[rows])
     mesh = meshio.Mesh(np.asarray(grid.points, dtype=float), [])
-    mesh.cells = [meshio.CellBlock(kind, nodes) for kind, nodes in cells]
-    mesh.cell_data = data
+    mesh.cells, mesh.cell_data = cells, data
     return mesh
 
 

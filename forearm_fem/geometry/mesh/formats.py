@@ -6,6 +6,7 @@ Each counts what its file declares. Cells keep the order of nodes that VTK has; 
 from __future__ import annotations
 
 import re
+import struct
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -75,7 +76,10 @@ def read_nastran(file: Path) -> meshio.Mesh:
             corners = tuple(_whole(file, fields, k, 0) for k in range(3, 13))
             count = 10 if all(corners[4:]) else 4
             if count == 4 and any(corners[4:]):
-                raise MeshError(f"{file}: CTETRA {fields[1]} has {sum(map(bool, corners))} nodes, expected 4 or 10")
+                raise MeshError(
+                    f"{file}: CTETRA {fields[1]} has {sum(map(bool, corners))} nodes, expected 4 or 10; export it with "
+                    "all middles, or with none"
+                )
             kind = "tetra10" if count == 10 else "tetra"
             cells[_whole(file, fields, 1)] = (kind, corners[:count], _whole(file, fields, 2, 0))
         elif name in _SOLIDS:
@@ -372,31 +376,42 @@ def read_exodus(file: Path) -> meshio.Mesh:
         return _exodus(file, content.variables, content.dimensions)
 
 
+_SOLID_BLOCKS = (("TET", "tetra"), ("HEX", "hexahedron"), ("WEDGE", "wedge"), ("PRISM", "wedge"), ("PYR", "pyramid"))
+
+
 def _exodus(file: Path, variables: Any, dimensions: Any) -> meshio.Mesh:
     if "coord" in variables:
         points = np.asarray(variables["coord"][:], dtype=float).T
     elif "coordx" in variables:
-        points = np.column_stack([np.asarray(variables[f"coord{a}"][:], dtype=float) for a in "xyz"])
+        points = np.column_stack([np.asarray(variables[f"coord{a}"][:], dtype=float) for a in "xyz"
+                                  if f"coord{a}" in variables])  # fmt: skip
     else:
         raise MeshError(f"{file}: holds no coordinates; it is no mesh of Exodus")
     numbers = np.asarray(variables["eb_prop1"][:]).tolist() if "eb_prop1" in variables else []
     told = _names_of(variables["eb_names"]) if "eb_names" in variables else []
     blocks, regions, names = list[tuple[str, IntArray]](), list[IntArray](), dict[int, tuple[str, ...]]()
+    left_out = set[str]()
     for k in range(1, len(dimensions["num_el_blk"]) + 1 if "num_el_blk" in dimensions else 1):
         stored = variables.get(f"connect{k}")
         if stored is None:
             continue
-        kind = str(stored.elem_type).upper()
-        nodes = np.asarray(stored[:], dtype=np.int64) - 1
-        form = {4: "tetra", 10: "tetra10"}.get(nodes.shape[1]) if kind.startswith("TET") else kind.lower()
-        if form is None:
-            raise MeshError(f"{file}: block {k} has tetrahedra of {nodes.shape[1]} nodes, expected 4 or 10")
+        kind = str(getattr(stored, "elem_type", "")).upper()
+        form = next((form for begin, form in _SOLID_BLOCKS if kind.startswith(begin)), None)
         number = int(numbers[k - 1]) if k <= len(numbers) else k
         names[number] = tuple(n for n in told[k - 1 : k] if n)
-        if kind.startswith(("TRI", "SHELL", "BAR", "BEAM", "QUAD", "SPHERE", "TRUSS")):
+        if form is None:
+            left_out.add(kind.lower())
             continue
-        blocks.append((form, nodes))
+        if form != "tetra":
+            raise MeshError(f"{file}: contains {kind.lower()} cells, but only tetrahedra can be used; split them")
+        nodes = np.asarray(stored[:], dtype=np.int64) - 1
+        if nodes.shape[1] not in (4, 10):
+            raise MeshError(f"{file}: block {k} has tetrahedra of {nodes.shape[1]} nodes, expected 4 or 10")
+        blocks.append((form if nodes.shape[1] == 4 else "tetra10", nodes))
         regions.append(np.full(len(nodes), number))
+    if not blocks:
+        found = ", ".join(sorted(left_out)) or "no cells at all"
+        raise MeshError(f"{file}: contains no tetrahedra (only {found}); mesh the volume, not the surface")
     mesh = meshio.Mesh(points, [], cell_data={})
     mesh.cells = [meshio.CellBlock(form, nodes) for form, nodes in blocks]
     mesh.cell_data = {"region": regions}
@@ -411,18 +426,43 @@ def _names_of(stored: Any) -> list[str]:
 
 # ---------------------------------------------------------------- gmsh
 def volumes_of_gmsh(file: Path) -> dict[int, tuple[int, ...]]:
-    """Physical groups of each volume of a gmsh file of version 4.1, ASCII; nothing of other versions."""
+    """Physical groups of each volume of a gmsh file of version 4.1; nothing of other versions."""
     content = file.read_bytes()
     head = re.search(rb"\$MeshFormat\s+(\S+)\s+(\d)", content)
-    if head is None or head[1] != b"4.1" or head[2] != b"0":
+    begun = re.search(rb"\$Entities[^\n]*\n", content)
+    if head is None or head[1] != b"4.1" or begun is None:
         return {}
-    entities = re.search(rb"\$Entities\s(.*?)\$EndEntities", content, re.DOTALL)
-    if entities is None:
-        return {}
-    lines = [line.split() for line in entities[1].decode("ascii", "replace").split("\n") if line.strip()]
+    if head[2] == b"1":
+        return _binary_volumes(content[begun.end() :])
+    entities = content[begun.end() : content.find(b"$EndEntities", begun.end())].decode("ascii", "replace")
+    lines = [line.split() for line in entities.split("\n") if line.strip()]
     counts = [int(w) for w in lines[0]]
     found: dict[int, tuple[int, ...]] = {}
     for words in lines[1 + sum(counts[:3]) : 1 + sum(counts)]:
         number = int(words[7])
         found[int(words[0])] = tuple(abs(int(w)) for w in words[8 : 8 + number])
+    return found
+
+
+def _binary_volumes(content: bytes) -> dict[int, tuple[int, ...]]:
+    """The same of the entities in binary, little end first: points, curves, surfaces, volumes."""
+    at, found = 32, dict[int, tuple[int, ...]]()
+
+    def many() -> tuple[int, ...]:
+        """Numbers behind their count."""
+        nonlocal at
+        (count,) = struct.unpack_from("<Q", content, at)
+        numbers = struct.unpack_from(f"<{count}i", content, at + 8)
+        at += 8 + 4 * count
+        return numbers
+
+    for dimension, count in enumerate(struct.unpack_from("<4Q", content, 0)):
+        for _ in range(count):
+            (number,) = struct.unpack_from("<i", content, at)
+            at += 4 + (24 if dimension == 0 else 48)  # a point, or the corners of a box
+            groups = many()
+            if dimension:
+                many()  # what bounds it
+            if dimension == 3:
+                found[number] = tuple(abs(g) for g in groups)
     return found

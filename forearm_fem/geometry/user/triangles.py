@@ -16,6 +16,7 @@ import trimesh
 from ...contents import text_of, whole
 from ...errors import GeometryError
 from ...typing import FloatArray, IntArray
+from ..mesh.files import by_vtk
 
 Triangles = tuple[FloatArray, IntArray]
 _VERTEX = re.compile(r"^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)", re.MULTILINE | re.IGNORECASE)
@@ -123,14 +124,15 @@ def _obj(file: Path, content: bytes) -> Triangles:
                 faces += [(corners[0], corners[k], corners[k + 1]) for k in range(1, len(corners) - 1)]
         except ValueError as problem:
             raise GeometryError(f"{file}, line {number}: '{line[:40].strip()}' ({problem}); export it again") from None
+    if not vertices:
+        raise GeometryError(f"{file}: holds no line of a vertex (v x y z); it is no OBJ file, or has no triangles")
     return np.array(vertices, dtype=float).reshape(-1, 3), np.array(faces, dtype=np.int64).reshape(-1, 3)
 
 
 def _vtk(file: Path) -> Triangles:
     """Triangles of a surface of VTK; its other polygons are cut into triangles."""
     try:
-        with pyvista.VtkErrorCatcher(raise_errors=True, send_to_logging=False):
-            body: Any = pyvista.read(file)
+        body: Any = by_vtk(file)
     except Exception as problem:
         said = " ".join(str(problem).split())[:100]
         raise GeometryError(f"{file}: cannot be read as a surface of VTK ({said})") from None

@@ -27,7 +27,7 @@ from ...progress import Progress
 from ...scenario import Scenario, parse_scenario
 from ...scenario.device import VoltageDevice
 from ...scenario.limb import tissue_keys
-from ...tissue import Zener, resolve_tissues
+from ...tissue import resolve_tissues
 from ...transfer import Compliance, TransferMatrix
 from ...typing import FloatArray
 
@@ -104,7 +104,6 @@ class Direction:
 
 _POOL = 120  # arms within the ranges of a fit, from which its finite elements are reduced
 _REACH = 3.0  # times or divided by: a fit's ranges reach to 6, where measured tissue is not
-_BELOW = 0.999  # of a Zener law's mu_infinity, up to which its mu may go
 _TERMS, _FEWER = 4, 1  # under rigid cones, and orders fewer than the twin takes: 5e-5 of points for the thesis' device
 
 
@@ -297,11 +296,12 @@ def _known(scenario: Scenario) -> dict[str, Parameter]:
         )
     own = {*tissue_keys(scenario.limb).values(), *(("bone",) if getattr(scenario.limb, "bones", ()) else ())}
     for name, tissue in tissues.items():
-        for short, unit in (("mu", "Pa"), ("eta", "Pa s")):
+        stated = tissue.modulus.stated("")
+        keys = {"mu": "mu", "eta": "eta", **{short: f"parameters.{short}" for short in stated.get("parameters", ())}}
+        for short, key in keys.items():
             value = getattr(tissue.modulus, short, None)
             if name in own and isinstance(value, float) and value > 0:
-                key, high = f"tissues.override.{name}.{short}", value * 6
-                if short == "mu" and isinstance(tissue.modulus, Zener):
-                    high = min(high, _BELOW * tissue.modulus.mu_infinity)
-                found[f"{name}.{short}"] = Parameter(key, value, value / 6, high, log=True, unit=unit)
+                high, unit = min(6 * value, tissue.modulus.below(short)), {"mu": "Pa", "eta": "Pa s"}.get(short, "")
+                place = f"tissues.override.{name}.{key}"
+                found[f"{name}.{short}"] = Parameter(place, value, value / 6, high, log=True, unit=unit)
     return found

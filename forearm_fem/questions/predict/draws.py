@@ -21,8 +21,9 @@ from ...geometry.device.layout import turned
 from ...scenario import Scenario, parse_scenario
 from ...scenario.device import VoltageDevice
 from ...scenario.limb import limb_tissues
-from ...tissue import resolve_tissues
+from ...tissue import law, resolve_tissues
 from ...typing import FloatArray
+from ...usercode import is_code
 
 # What is uncertain about an arm, a device on it and a measurement: named inputs with their laws and sources.
 
@@ -97,10 +98,11 @@ class Priors:
     joint: Mapping[str, Joint]
     bare: Mapping[str, Joint]
 
-    def tissue_inputs(self, law: str, bare: bool = False) -> Mapping[str, Prior]:
-        """Inputs that the joint fit of ``law`` covers: its tissues, then tension, thicknesses and fascia."""
-        shared = [name for name in SHARED if not (bare and name.startswith(FASCIA))]
-        return {**self.laws[law], **{name: self.inputs[name] for name in shared}}
+    def tissue_inputs(self, name: str, bare: bool = False) -> Mapping[str, Prior]:
+        """Inputs that the joint fit of the law ``name`` covers: its tissues, then tension, thicknesses and fascia."""
+        own = self.laws[name] if name in self.laws else _of_class(name)
+        shared = [key for key in SHARED if not (bare and key.startswith(FASCIA))]
+        return {**own, **{key: self.inputs[key] for key in shared}}
 
 
 @cache
@@ -124,6 +126,21 @@ def wide_priors() -> Priors:
     return Priors(_table(table["inputs"]), MappingProxyType(laws), MappingProxyType({}), MappingProxyType({}))
 
 
+def _of_class(name: str) -> Mapping[str, Prior]:
+    """Inputs of a law of one's own, as its class says; ScenarioError where it does not."""
+    found = {
+        f"{tissue}.{key}": Prior(f"{tissue}.{key}", "log-normal", name, "judgement", centre=centre, spread=spread)
+        for tissue, inputs in law(name).drawn.items()
+        for key, (centre, spread) in inputs.items()
+    }
+    if not found or any(key.partition(".")[0] not in SOFT for key in found):
+        raise ScenarioError(
+            f"--law: {name} does not say how arms differ; give its class drawn = {{'skin': {{'mu': (13e3, 1.8)}}}}, "
+            f"centre and factor of each input, for some of {', '.join(SOFT)}"
+        )
+    return found
+
+
 def _table(rows: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Prior]:
     found = {}
     for name, row in rows.items():
@@ -136,7 +153,6 @@ def _table(rows: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Prior]:
 
 LAWS = ("kelvin-voigt", "zener", "springpot")
 SOFT = ("skin", "fat", "muscle")
-REFERENCE = 150.0  # Hz at which the size of a springpot's modulus is stated
 WRIST, ELBOW = "contact spring, wrist side", "contact spring, elbow side"
 _PLACED = {"grid x", "grid y", "grid turn"}
 _RIG = MappingProxyType(
@@ -182,19 +198,23 @@ def draw_inputs(
         """This draw's normal score of an input, whatever else is drawn."""
         return float(np.random.default_rng([seed, number, zlib.crc32(name.encode())]).standard_normal())
 
-    chosen = [law for law in priors.inputs["law"].choices if law in laws]
+    known = priors.inputs["law"].choices
+    chosen = [*(x for x in known if x in laws), *sorted(x for x in laws if is_code(x))]
     if not chosen:
         raise ScenarioError(f"laws: expected some of {', '.join(LAWS)}, got {', '.join(sorted(laws)) or 'none'}")
-    law = chosen[int(Prior("law", "choice", "", "judgement", choices=tuple(chosen)).value(normal("law")))]
-    joint, inputs = (priors.bare if bare else priors.joint)[law], priors.tissue_inputs(law)
-    z = joint.mean + joint.root @ np.array([normal(name) for name in joint.names])
-    values = {name: inputs[name].value(float(x)) for name, x in zip(joint.names, z, strict=True)}
+    own = chosen[int(Prior("law", "choice", "", "judgement", choices=tuple(chosen)).value(normal("law")))]
+    inputs = priors.tissue_inputs(own, bare)
+    joint = (priors.bare if bare else priors.joint).get(own)
+    names = tuple(inputs) if joint is None else joint.names
+    z = np.array([normal(name) for name in names])
+    z = z if joint is None else joint.mean + joint.root @ z
+    values = {name: inputs[name].value(float(x)) for name, x in zip(names, z, strict=True)}
     for name, prior in priors.inputs.items():
         if prior.each is not None:
             values |= _each(prior, scenario, normal)
         elif name not in values and name != "law":
             values[name] = prior.value(normal(name))
-    return Draw(seed, number, law, values)
+    return Draw(seed, number, own, values)
 
 
 def _each(prior: Prior, scenario: Scenario, normal: Any) -> dict[str, float]:
@@ -220,9 +240,9 @@ def each_name(prior: str, scenario: Scenario) -> tuple[str, ...]:
 def scenario_of(draw: Draw, scenario: Scenario, held: Collection[str] = ()) -> Scenario:
     """``scenario`` on the arm and with the device of ``draw``; inputs of the names or groups ``held`` stay its own.
 
-    Tissues called skin, fat and muscle get the drawn law; others, and limbs without layers, keep theirs. A deep fascia
-    comes between the last layer and a core of muscle that has none. What the rig makes of the arm is
-    :func:`measured_of`; the places that the experimenter takes for true are the scenario's.
+    Tissues called skin, fat and muscle get the drawn law, if it has inputs for them; others, and limbs without layers,
+    keep theirs. A deep fascia comes between the last layer and a core of muscle that has none. What the rig makes of
+    the arm is :func:`measured_of`; the places that the experimenter takes for true are the scenario's.
     """
     data: dict[str, Any] = scenario.model_dump()
     values = {name: value for name, value in draw.values.items() if name not in held}
@@ -333,25 +353,11 @@ def idle_inputs(scenario: Scenario) -> frozenset[str]:
     return frozenset(idle)
 
 
-def law_parameters(law: str, values: Mapping[str, float]) -> dict[str, dict[str, float | str]]:
-    """Keys of ``[tissues.override.T]`` for T = skin, fat and muscle from inputs named "T.input".
-
-    kelvin-voigt: mu [Pa], eta [Pa s]. zener: mu, stiffening mu_infinity/mu - 1, relaxation 1/(2 pi tau) [Hz].
-    springpot: size |mu*| [Pa] at 150 Hz, and exponent; its eta is 1 Pa s.
-    """
-    return {tissue: {"law": law, **_parameters(law, tissue, values)} for tissue in SOFT}
-
-
-def _parameters(law: str, tissue: str, values: Mapping[str, float]) -> dict[str, float]:
-    if law == "kelvin-voigt":
-        return {"mu": values[f"{tissue}.mu"], "eta": values[f"{tissue}.eta"]}
-    if law == "zener":
-        mu, rise = values[f"{tissue}.mu"], values[f"{tissue}.mu"] * values[f"{tissue}.stiffening"]
-        eta = rise / (2 * math.pi * values[f"{tissue}.relaxation"])
-        return {"mu": mu, "mu_infinity": mu + rise, "eta": eta}
-    exponent = values[f"{tissue}.exponent"]
-    size = values[f"{tissue}.size"] / (2 * math.pi * REFERENCE) ** exponent
-    return {"mu": size ** (1 / (1 - exponent)), "exponent": exponent, "eta": 1.0}
+def law_parameters(name: str, values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
+    """Keys of ``[tissues.override.T]`` for T = skin, fat and muscle from inputs of the law ``name``, called
+    "T.input"; a tissue without inputs is not among them."""
+    own = {t: {n[len(t) + 1 :]: v for n, v in values.items() if n.startswith(f"{t}.")} for t in SOFT}
+    return {t: law(name).of_inputs(inputs).stated(name) for t, inputs in own.items() if inputs}
 
 
 def moved_points(scenario: Scenario, values: Mapping[str, float]) -> list[tuple[float, float]]:

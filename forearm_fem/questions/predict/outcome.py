@@ -18,11 +18,11 @@ from ...rendering.job import RenderJob
 from ...results.draws import KEPT, READINGS, Outcome
 from ...scenario import Scenario
 from ...scenario.sweep import frequencies
-from ...tissue import resolve_tissues
+from ...tissue import REFERENCE, resolve_tissues
 from ...transfer import TransferMatrix, finite, total_error
 from ...typing import FloatArray
 from .arm import ArmModel
-from .draws import REFERENCE, SOFT, Draw, idle_inputs, measured_of, scenario_of, soft_tissues
+from .draws import SOFT, Draw, idle_inputs, measured_of, scenario_of, soft_tissues
 
 _MOST = 1.0  # e_band: nothing is known of a G that may be wrong by as much as it is
 _DRAWS = 6  # of an arm's errors, for the interval of its S; all targets of a method are pooled

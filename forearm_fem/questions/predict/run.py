@@ -25,7 +25,7 @@ from ...rendering.lattice import is_thesis_grid
 from ...rendering.limits import counted_points
 from ...results.draws import DRAWS_FILE, DrawsFile, Outcome
 from ...scenario import Scenario
-from ...scenario.shipped import contents, named_files
+from ...scenario.shipped import code_files, contents, named_files
 from ...scenario.sweep import frequencies
 from ...store.folder import check_kind, set_kind
 from ...store.record import save
@@ -33,6 +33,7 @@ from ...store.shelf import WORK, Shelf
 from ...store.text import digest_of
 from ...store.work import LOST, done_once, light_workers, spread
 from ...transfer import UNITS, ErrorEstimate
+from ...usercode import is_code, with_code_beside
 from .arm import ArmModel, LayeredArm, arm_model
 from .draws import FASCIA, LAWS, draw_inputs, each_name, has_fascia, is_bare, load_priors, scenario_of
 from .outcome import Setup, outcome_of, setup_of
@@ -57,6 +58,10 @@ class Question:
     held: tuple[str, ...] = ()
     twin: bool = False
 
+    def __post_init__(self) -> None:
+        """Laws of one's own are files beside the scenario."""
+        object.__setattr__(self, "laws", tuple(with_code_beside(list(self.laws), self.base)))
+
     @property
     def digest(self) -> str:
         """SHA-256 of all that a draw depends on but its number."""
@@ -64,7 +69,7 @@ class Question:
         content = [__version__, self.scenario.model_dump(mode="json", exclude={"name", "description"}), self.seed,
                    sorted(self.laws), sorted(self.held), self.twin, repr(priors.inputs), repr(priors.laws),
                    [{law: j.mean.tolist() for law, j in part.items()} for part in (priors.joint, priors.bare)],
-                   contents(named_files(self.scenario), self.base)]  # fmt: skip
+                   contents((*named_files(self.scenario), *code_files(self.laws)), self.base)]  # fmt: skip
         return digest_of(content)
 
 
@@ -168,8 +173,12 @@ def check_question(question: Question) -> None:
             f"--hold: no input or group is called '{bad[0]}'; groups are {', '.join(sorted(groups))}, single inputs "
             "stand in questions/predict/priors.toml"
         )
-    if bad := sorted(set(question.laws) - set(LAWS)):
-        raise ScenarioError(f"--law: no law is called '{bad[0]}'; known are {', '.join(LAWS)}")
+    if bad := sorted(x for x in set(question.laws) - set(LAWS) if not is_code(x)):
+        raise ScenarioError(
+            f"--law: no law is called '{bad[0]}'; known are {', '.join(LAWS)}, or your own as module:Name"
+        )
+    for law in filter(is_code, question.laws):
+        priors.tissue_inputs(law)
     if not question.laws:
         raise ScenarioError(f"--law: expected at least one of {', '.join(LAWS)}")
     if not hasattr(question.scenario.limb, "layers"):

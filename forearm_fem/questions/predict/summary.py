@@ -10,9 +10,9 @@ import numpy as np
 
 from ... import __version__
 from ...store.text import write_json
-from ...tissue import resolve_tissues
+from ...tissue import REFERENCE, resolve_tissues
 from ...typing import FloatArray
-from .draws import REFERENCE, kept_tissues
+from .draws import kept_tissues
 from .run import Prediction
 from .statistics import LEVELS, Draws, Enclosed, quantiles, rank_correlations, sobol_indices, winners
 

@@ -16,6 +16,7 @@ from ...errors import DataError
 from ...files.declaration import Declaration
 from ...files.read import read
 from ...progress import Progress
+from ...rendering.job import on_own_bins
 from ...scenario import Scenario, parse_scenario
 from ...store.folder import write_text
 from ..data import Results
@@ -92,8 +93,9 @@ def _content(
     transfer = read(place, declaration, scenario=asked)
     if scenario is None and isinstance(sweep := transfer.provenance.get("sweep"), Mapping):  # of a calibration
         asked = parse_scenario({"sweep": {k: sweep[k] for k in ("duration", "sample_rate", "f_min", "f_max")}})
+    asked, note = on_own_bins(transfer, asked)
     named = asked.changed({"name": _NO_NAME.sub("-", name).strip(".-")[:100] or "measured"})
-    return measured_content(transfer, named, f"measured G of {Path(what).name}", base)
+    return measured_content(transfer, named, f"measured G of {Path(what).name}", base, note)
 
 
 def _holds_g_alone(folder: Path) -> bool:

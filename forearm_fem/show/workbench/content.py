@@ -131,17 +131,21 @@ def _packed_places(places: Places, arm: LibraryOfArm, scenario: Scenario) -> dic
     }  # fmt: skip
 
 
-def measured_content(transfer: TransferMatrix, scenario: Scenario, stamp: str, base: Path = Path()) -> dict[str, Any]:
+def measured_content(
+    transfer: TransferMatrix, scenario: Scenario, stamp: str, base: Path = Path(), note: str = ""
+) -> dict[str, Any]:
     """The page's content for a G without compliance: the device cannot be changed, nothing is known between the points.
 
-    ``scenario`` gives the record, the wavelet (its file seen from ``base``), the limits and the renderers' options.
+    ``scenario`` gives the record, the wavelet (its file seen from ``base``), the limits and the renderers' options;
+    ``note`` is one more to show.
     """
     record = Record.of(scenario.sweep.sample_rate, scenario.sweep.duration)
     holes = bridged(transfer)
     placed = place(holes.transfer, record)
     shape = wavelet(scenario.rendering, scenario.sweep, base)
     gain = "the gain of this G is arbitrary, as was declared: S holds, micrometres, drives and limits mean nothing"
-    notes = [*([gain] if arbitrary_gain(transfer.provenance) else []), *([holes.sentence] if holes.sentence else [])]
+    gain = gain if arbitrary_gain(transfer.provenance) else ""
+    notes = [n for n in (gain, holes.sentence, note) if n]
     return {
         **_common(scenario, holes, placed, between_points(transfer.outputs), record, shape),
         "name": scenario.name,
