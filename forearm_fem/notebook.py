@@ -67,9 +67,9 @@ def xarray_of_g(g: TransferMatrix | Compliance) -> xr.DataArray:
 
 def plot_of_g(g: TransferMatrix) -> FigureBase:
     """Size and phase of each entry, within its stated error."""
-    from .show.matrix import plot_transfer
+    from .show.matrix import plot_transfer, transfer_of
 
-    return plot_transfer(g)
+    return plot_transfer(transfer_of(g))
 
 
 def save_g(g: TransferMatrix, path: str | Path) -> None:

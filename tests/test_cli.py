@@ -61,7 +61,7 @@ def test_the_package_runs_as_the_program() -> None:
 def test_help_names_every_command() -> None:
     answer = cli("--help")
     names = ("run", "render", "calibrate", "daq", "compare", "fit", "figures", "workbench", "predict", "design",
-             "study", "new", "show", "verify", "campaign", "schema", "doctor")  # fmt: skip
+             "study", "new", "verify", "campaign", "schema", "doctor")  # fmt: skip
     assert answer.code == 0
     assert all(f" {name} " in answer.out for name in names)
 
@@ -274,13 +274,3 @@ def test_figures_without_results_says_how_to_make_them(scene: Path) -> None:
     answer = cli("figures", "results/small", cwd=scene)
     assert answer.code == 2
     assert "forearm-fem run" in answer.sentence
-
-
-@pytest.mark.parametrize(
-    ("what", "save", "says"),
-    [("nowhere", "a.png", "no such file"), ("small.toml", "a.png", "forearm-fem run"), (".", "a.tiff", ".png, .gif")],
-)
-def test_show_says_what_it_needs(scene: Path, what: str, save: str, says: str) -> None:
-    answer = cli("show", what, "--save", save, cwd=scene)
-    assert answer.code == 2
-    assert says in answer.sentence

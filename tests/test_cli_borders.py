@@ -155,7 +155,6 @@ def test_a_missing_file_is_said_before_the_command_begins(
 @pytest.mark.parametrize(
     ("line", "remedy"),
     [
-        (("show", "lab.csv", "--save", "a.png"), "no solved field to walk around in; `forearm-fem workbench lab.csv`"),
         (("figures", "lab.csv"), "lab.csv: no such results folder; `forearm-fem run SCENARIO` makes one"),
     ],
 )
@@ -273,7 +272,7 @@ def test_a_g_of_another_origin_is_not_replaced(lab: Path, line: Any, provenance:
         (("figures", ".", "--format", ","), "--format: expected names between the commas"),
         (("figures", ".", "--only", ","), "--only: expected names between the commas"),
         (("library", "thesis", "--out", "folder.nc"), "folder.nc: is a folder, expected the name of a file"),
-        (("show", ".", "--save", "folder.gif"), "folder.gif: is a folder, expected the name of a file"),
+        (("figures", ".", "--film", "folder.gif"), "folder.gif: is a folder, expected the name of a file"),
     ],
 )
 def test_what_would_have_no_effect_or_no_place_is_said_at_once(lab: Path, line: Any, said: str) -> None:

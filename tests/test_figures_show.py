@@ -22,11 +22,10 @@ from forearm_fem.show.film import (
     amplification,
     animate,
     body_of,
-    render_still,
     staged,
     standing,
+    wavefield,
 )
-from forearm_fem.show.interact import Room, interact
 from forearm_fem.show.motion import View, motion, nice
 from forearm_fem.show.scene import plotter_for
 
@@ -98,20 +97,20 @@ def test_the_drawn_amplification_is_honest(run: Results) -> None:
 def test_the_amplification_is_said_as_it_is_drawn(run: Results, factor: float, said: str) -> None:
     """To whole numbers, as it was, a bulge of a fifth was drawn "0 times larger", one of 2.5 "2 times"."""
     stage = Stage(MagicMock(), body_of(run, "", "5"), motion(run, View("funneling", "5")), factor, 1e-6)
-    assert stage._words(0).splitlines()[-1] == said
+    assert stage.words(0)[-1] == said
 
 
 def test_a_picture_says_what_it_leaves_out_of_the_housing(folder: Path) -> None:  # noqa: F811
     results = Results.open(folder)
     with plotter_for(SMALL) as plotter:
         whole = staged(results, plotter, motion(results, View()), Look(size=SMALL))
-    assert "housing" not in whole._words(0)
+    assert "housing" not in " ".join(whole.words(0))
     shared = {**results.scenario.model_dump(), "device": {**results.scenario.device.model_dump()}}
     shared["device"]["housing"]["skin_share"] = 0.03
     results.__dict__["scenario"] = parse_scenario(shared)
     with plotter_for(SMALL) as plotter:
         told = staged(results, plotter, motion(results, View()), Look(size=SMALL))
-    assert told._words(0).endswith("without what the skin follows of the housing")
+    assert told.words(0)[-1] == "without what the skin follows of the housing"
 
 
 def test_the_frequency_said_is_the_one_that_is_shown(run: Results) -> None:
@@ -124,12 +123,15 @@ def test_the_frequency_said_is_the_one_that_is_shown(run: Results) -> None:
     assert f", {own[9]:g} Hz, " in between.view.words
 
 
-def test_a_still_shows_the_wave(run: Results, tmp_path: Path) -> None:
-    path = tmp_path / "still.png"
-    picture = render_still(run, path, view=View("funneling", "5"), look=Look(size=SMALL, camera="top"), at=2e-3)
-    assert np.array_equal(np.asarray(Image.open(path)), picture)
-    flat = render_still(run, view=View("funneling", "5"), look=Look(size=SMALL, camera="top"), at=-0.09)
-    assert np.abs(picture.astype(int) - flat).max(axis=2).mean() > 5  # before the wavelet nothing moves
+def test_a_picture_shows_the_wave_and_where_names_stand(run: Results) -> None:
+    look = Look(size=SMALL, camera="top")
+    now, before = (wavefield(run, view=View("funneling", "5"), look=look, at=t) for t in (2e-3, -0.09))
+    rows, columns = (min(now.sizes[d], before.sizes[d]) for d in ("row", "column"))
+    apart = now.picture.values[:rows, :columns].astype(int) - before.picture.values[:rows, :columns]
+    assert np.abs(apart).max(axis=2).mean() > 5  # before the wavelet nothing moves
+    at = {str(n): p for n, p in zip(now.name.values, now["at"].values, strict=True)}
+    assert at["1"][0] < at["4"][0] < at["7"][0]  # from above x goes to the right and y upwards
+    assert at["1"][1] > at["2"][1] > at["3"][1]
 
 
 @pytest.mark.parametrize("cut", ["", "xy"])
@@ -210,26 +212,4 @@ def test_without_a_field_it_says_so(folder: Path, tmp_path: Path) -> None:  # no
         if file.name != "wavefield.npz":
             shutil.copy(file, tmp_path / file.name)
     with pytest.raises(DataError, match=r"wavefield\.npz is missing.*forearm-fem run"):
-        render_still(tmp_path)
-
-
-def test_a_window_needs_a_display(run: Results, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    from forearm_fem.errors import ForearmError
-
-    with pytest.raises(ForearmError, match="no display"):
-        interact(run)
-
-
-def test_the_windows_sliders_change_what_moves(run: Results) -> None:
-    with plotter_for(SMALL) as plotter:
-        room = Room(run, plotter, View(), Look(size=SMALL))
-        room.furnish()
-        assert room.view == View()  # the sliders stand where the view is
-        room._to_method(1)
-        room._to_target(0)
-        room._to_step(3)
-        assert room.view == View("funneling", "1")
-        assert room.stage is not None
-        assert room.stage.moved.view == room.view
+        wavefield(tmp_path)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from forearm_fem.errors import NotApplicable
-from forearm_fem.show.style import _behind, clear_legends, fit_width
+from forearm_fem.show.style import _behind, clear_legends
 from forearm_fem.show.targets import moments
 
 pytestmark = pytest.mark.drawn
@@ -27,21 +26,6 @@ def test_a_legend_hides_no_curve():
 def _drawn(figure):
     figure.draw_without_rendering()
     return figure.axes
-
-
-@pytest.mark.parametrize(
-    ("inches", "asked", "made"), [(3.5, 88, 88), (10.2, 181, 181), (3.5, 181, 181)]
-)
-def test_a_figure_is_as_wide_as_a_column_or_a_page(inches, asked, made):
-    figure = Figure(figsize=(inches, 3.0))
-    fit_width(figure, asked)
-    assert figure.get_figwidth() * 25.4 == pytest.approx(made)
-
-
-def test_a_column_refuses_what_it_cannot_hold():
-    """Four figures came out 181 mm wide without a word."""
-    with pytest.raises(NotApplicable, match="need 181 mm"):
-        fit_width(Figure(figsize=(10.2, 3.0)), 88)
 
 
 @pytest.mark.parametrize("gap", [-9.0, -3.7, -0.4, 0.0, 1.1, 5.2])

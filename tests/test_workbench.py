@@ -605,9 +605,6 @@ def test_the_command_writes_pages_of_runs_and_of_files(flat: Results, small: Res
     (tmp_path / "s.toml").write_text('name = "s"\n[sweep]\nduration = 0.25\nsample_rate = 4000.0\nf_max = 400.0\n')
     assert cli("workbench", str(tmp_path / "g.csv"), "--scenario", str(tmp_path / "s.toml")).code == 0
     assert (tmp_path / "g.html").is_file()
-    said = cli("show", str(small.folder), "--save", str(tmp_path / "b.html"))
-    assert said.code == 0
-    assert (tmp_path / "b.html").read_text(encoding="utf-8") == (tmp_path / "a.html").read_text(encoding="utf-8")
 
 
 def test_a_page_replaces_only_one_of_the_same_file(flat: Results, tmp_path: Path) -> None:

@@ -11,10 +11,10 @@ together. Far points move little: where they may not move at all, for all that i
 # A run to draw, as ``forearm-fem run quick`` leaves it in the folder that this script is started in.
 import numpy as np
 
-from forearm_fem.show import Results, conditioning, plot_conditioning, plot_transfer
+from forearm_fem.show import Results, conditioning, plot_conditioning, plot_transfer, transfer_of
 
 run = Results.open("results/quick")
-plot_transfer(run.transfer)
+plot_transfer(transfer_of(run.transfer))
 
 # %%
 # A condition number near one says that the four actuators can be told apart, so that an inverse filter does not amplify

@@ -17,6 +17,6 @@ plot_travel(data)
 
 # %%
 # What this page promises: the last place peaks at the wavelet's centre, and the first one moves more.
-peak = float(data.time[int(np.argmax(data.moved[0][-1]))])
+peak = float(data.time[int(np.argmax(data.u[0, -1].values))])
 assert abs(peak) < 2e-4, peak
-assert np.abs(data.moved[0][0]).max() > np.abs(data.moved[0][-1]).max()
+assert np.abs(data.u[0, 0]).max() > np.abs(data.u[0, -1]).max()

@@ -18,7 +18,6 @@ plot_target(data)
 # %%
 # What this page promises: at t = 0 the inverse filter moves this corner most of all nine points. On this coarse scene
 # it does not manage that for the edges.
-shown = data.shown[0]
-now = np.abs(shown.values[:, int(np.argmin(np.abs(shown.time)))])
-ratio = float(now[data.row] / np.delete(now, data.row).max())
+now = np.abs(data.u.sel({"method": "inverse filter"}).sel(time=0, method="nearest"))
+ratio = float(now.sel(output="1") / now.drop_sel(output="1").max())
 assert ratio > 1, ratio

@@ -2,28 +2,20 @@
 Waves in space
 ==============
 
-A still of the skin and of a cut beneath it, from the reduced basis: no new solve. The same view makes a film
-(``animate``) and the workbench is a page for the browser; on the command line ``forearm-fem show results/quick``.
+A cut beneath the skin, from the reduced basis: no new solve. The same view makes a film (``animate``), and the
+workbench is a page for the browser; on the command line ``forearm-fem figures results/quick --film waves.gif``.
 """
 
 # %%
 # A run to draw, as ``forearm-fem run quick`` leaves it in the folder that this script is started in.
-import tempfile
-from pathlib import Path
-
-import matplotlib.pyplot as plt
 import numpy as np
 
 from forearm_fem.show import Results
-from forearm_fem.show.film import Look, render_still
+from forearm_fem.show.film import Look, plot_wavefield, wavefield
 from forearm_fem.show.motion import View, motion
 
 run = Results.open("results/quick")
-file = Path(tempfile.mkdtemp()) / "still.png"
-render_still(run, file, view=View("funneling", "5"), look=Look(cut="y"), at=3e-3)
-figure, axes = plt.subplots(figsize=(7.1, 5.3), layout="constrained")
-axes.imshow(plt.imread(file))
-axes.set_axis_off()
+plot_wavefield(wavefield(run, view=View("funneling", "5"), look=Look(cut="y"), at=3e-3))
 
 # %%
 # What this page promises: next to the only actuator driven the skin moves more than three times as much as two

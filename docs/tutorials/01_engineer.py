@@ -30,9 +30,7 @@ for error in g.errors:
 # %%
 # How much each point moves per volt on each actuator, how quickly that falls with frequency, within what band it
 # is known. Lines are pale where a point may not move at all, for all that is known:
-from forearm_fem.show import plot_transfer
-
-plot_transfer(g)
+g.plot()
 
 # %%
 # **Can it aim?** Signal strength S is the motion of the target over the mean motion of the other eight points: above

@@ -2,8 +2,8 @@
 The author: figures for a paper
 ===============================
 
-Every figure is a function of a results folder, in one style, with the numbers it shows in a CSV beside it. This page
-makes a folder with the flat twin, draws four of them, and shows how to lay your own curve over one.
+Every figure is a function of an xarray Dataset, in one style, with the numbers it shows in a CSV beside it. This page
+makes a folder with the layered model, draws four of them, and shows how to lay your own curve over one.
 """
 
 # %%
@@ -30,9 +30,9 @@ print(sorted(file.name for file in made))
 
 # %%
 # **Signal strength** beside the thesis' Table I. Dots are targets, bars are the thesis' mean and deviation.
-from forearm_fem.show import plot_table_one, strengths
+from forearm_fem.show import plot_table_one, strengths, table_one
 
-plot_table_one(strengths(results))
+plot_table_one(table_one(strengths(results)))
 
 # %%
 # **A wavelet along a line**, the thesis' figure 2. The inverse filter sends low frequencies first, as they travel
@@ -57,5 +57,5 @@ figure.axes[2].legend()
 
 # %%
 # What this page promises: the wavelet peaks at t = 0 at the end of the line, within two tenths of a millisecond.
-peak = float(data.time[int(np.argmax(data.moved[0][-1]))])
+peak = float(data.time[int(np.argmax(data.u[0, -1].values))])
 assert abs(peak) < 2e-4, peak

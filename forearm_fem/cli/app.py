@@ -56,7 +56,7 @@ _GROUPS: Mapping[str, Sequence[Callable[..., None]]] = {  # docs/reference/comma
     "Look": (look.figures, look.workbench),
     "Decide": (decide.predict, decide.design),
     "More": (
-        about.new, look.show, decide.campaign, decide.library, decide.validate, decide.verify, about.schema,
+        about.new, decide.campaign, decide.library, decide.validate, decide.verify, about.schema,
         about.doctor,
     ),
 }  # fmt: skip

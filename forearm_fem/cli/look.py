@@ -1,4 +1,4 @@
-"""figures, show and workbench: what a run looks like."""
+"""figures and workbench: what a run looks like."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Annotated
 import typer
 
 from ..errors import DataError
-from ..scenario import load_scenario, scenario_file
+from ..scenario import scenario_file
 from .common import Declared, Display, declaration, ends_in, noted, refuse_folder, scene_of, there
 
-# figures, show: a run made visible.
+# figures: a run made visible.
 
 Results = Annotated[
     Path, typer.Argument(help="results folder of a run",
@@ -22,8 +22,8 @@ Results = Annotated[
 
 def film_name(film: Path | None) -> Path | None:
     """A callback that refuses a film of another kind, or a folder, before the work."""
-    if film is not None and film.suffix.lower() not in (".gif", ".mp4"):
-        raise DataError(f"--film {film}: films end in .gif or .mp4")
+    if film is not None and film.suffix.lower() not in (".gif", ".mp4", ".png"):
+        raise DataError(f"--film {film}: films end in .gif or .mp4, a picture of the focus in .png")
     refuse_folder(film)
     return film
 
@@ -38,7 +38,10 @@ def figures(
     ] = None,
     footer: Annotated[bool, typer.Option(help="the line on scene and version at the foot")] = True,
     film: Annotated[
-        Path | None, typer.Option("--film", help="a film of the skin instead: .gif or .mp4", callback=film_name)
+        Path | None,
+        typer.Option(
+            "--film", help="a film of the skin instead: .gif or .mp4; .png: the focus alone", callback=film_name
+        ),
     ] = None,
     method: Annotated[str | None, typer.Option(help="of the film; default inverse filter")] = None,
     target: Annotated[str | None, typer.Option(help="of the film; default 5, or the first")] = None,
@@ -70,63 +73,19 @@ def figures(
 def _filmed(results: Path, film: Path, method: str | None, target: str | None, view: str, speed: float) -> None:
     """A film of the skin: of a method and target, from a camera, at a share of real time."""
     from ..show.data import Results as Folder
-    from ..show.film import Look, animate, default_view, frames_at
+    from ..show.film import Look, animate, default_view, frames_at, plot_wavefield, wavefield
+    from ..show.registry import save_drawn
 
     found = Folder.open(results)
     first = default_view(found)
     asked = replace(first, method=method or first.method, target=target or first.target)
     with Display() as display, noted():
-        animate(found, film, view=asked, look=Look(camera=view), frames_per_second=frames_at(speed), progress=display)
+        if film.suffix.lower() == ".png":
+            drawn = plot_wavefield(wavefield(found, view=asked, look=Look(view, size=(2400, 1500))))
+            save_drawn(drawn, film.with_suffix(""), ("png",), found.stamp)
+        else:
+            animate(found, film, view=asked, look=Look(view), frames_per_second=frames_at(speed), progress=display)
     typer.echo(str(film))
-
-
-def show(
-    what: Annotated[Path, typer.Argument(help="results folder, or a scenario whose results lie in results/NAME")],
-    save: Annotated[
-        Path | None, typer.Option("--save", help="instead of a window: .png, .gif, .mp4, or .html, the workbench")
-    ] = None,
-) -> None:
-    """Walk around the moving limb in a window, or keep a picture, film or page of it."""
-    folder = _results_of(what)
-    with noted():
-        if save is None:
-            from ..show.interact import interact
-
-            interact(folder)
-            return
-        _saved(folder, save)
-    typer.echo(str(save))
-
-
-def _results_of(what: Path) -> Path:
-    if what.is_dir():
-        return what
-    if what.is_file() and what.suffix != ".toml":
-        raise DataError(f"{what}: has no solved field to walk around in; `forearm-fem workbench {what}` shows its G")
-    folder = Path("results") / load_scenario(what).name
-    if not folder.is_dir():
-        raise DataError(f"{folder}: no results of {what} yet; `forearm-fem run {what}` makes them")
-    return folder
-
-
-def _saved(folder: Path, save: Path) -> None:
-    refuse_folder(save)
-    kind = save.suffix.lower()
-    if kind == ".png":
-        from ..show.film import render_still
-
-        render_still(folder, save)
-    elif kind in (".gif", ".mp4"):
-        from ..show.film import animate
-
-        with Display() as display:
-            animate(folder, save, progress=display)
-    elif kind == ".html":
-        from ..show.workbench import write_workbench
-
-        write_workbench(folder, save)
-    else:
-        raise DataError(f"{save}: choose a name that ends in .png, .gif, .mp4 or .html")
 
 
 def _split(text: str) -> tuple[str, ...]:

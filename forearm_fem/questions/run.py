@@ -274,7 +274,7 @@ def _remove_older(run: Run) -> None:
     if (figures := run.out / "figures").is_dir():
         from ..show import kinds
 
-        drawn = (p for p in figures.iterdir() if p.stem in kinds() or p.stem.startswith("target-"))  # nobody else's
+        drawn = (p for p in figures.iterdir() if p.stem.startswith(("target-", *kinds())))  # nobody else's
         stale += sorted(f"figures/{p.name}" for p in drawn)
     for name in (*stale, *(f"{n}.sha256" for n in stale)):
         (run.out / name).unlink(missing_ok=True)

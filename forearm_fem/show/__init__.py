@@ -1,4 +1,4 @@
-"""Figures of a run: the thesis' and those it should have had, each a function of data and axes.
+"""Figures of a run: the thesis' and those it should have had, each a function of a Dataset.
 
 ::
 
@@ -21,19 +21,11 @@ except ValueError:  # it looks at MPLBACKEND while it is imported, and knows no 
 
 from .data import Results
 from .device import drive_levels, impedance, plot_drives, plot_impedance
-from .judge import errors, plot_errors, plot_strength_maps, plot_table_one, strengths, table_one_markdown
-from .matrix import (
-    conditioning,
-    conditioning_of,
-    plot_conditioning,
-    plot_transfer,
-    plot_versus,
-    versus,
-    versus_of,
-)
+from .judge import errors, plot_errors, plot_strength_maps, plot_table_one, strengths, table_one
+from .matrix import conditioning, conditioning_of, plot_conditioning, plot_transfer, transfer_of
 from .methods import method, plot_method
 from .registry import FigureKind, applies, kinds, make_figures
-from .targets import plot_target, plot_traces, target_waves
+from .targets import plot_target, target_waves
 from .waves import dispersion, plot_dispersion, plot_travel, travel
 
 __all__ = [
@@ -58,14 +50,11 @@ __all__ = [
     "plot_strength_maps",
     "plot_table_one",
     "plot_target",
-    "plot_traces",
     "plot_transfer",
     "plot_travel",
-    "plot_versus",
     "strengths",
-    "table_one_markdown",
+    "table_one",
     "target_waves",
+    "transfer_of",
     "travel",
-    "versus",
-    "versus_of",
 ]

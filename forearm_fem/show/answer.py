@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..accuracy.estimates import short_verdict
 from ..metrics.strength import strength_text
+from ..ports import positions
 from ..rendering.limits import not_counted_words
 from ..scenario import Scenario
 from ..scenario.shipped import shipped_scenarios
@@ -246,11 +247,26 @@ def _strength_lines(data: Strengths) -> list[str]:
             for row in (header, *rows)]  # fmt: skip
 
 
+def beside_thesis(results: Results) -> bool:
+    """Whether G is of the device of the thesis' Table I, by the scenario and by the places that G itself states."""
+    g = results.transfer
+    own = (positions(ports)[:, :2] for ports in (g.inputs, g.outputs))
+    return is_thesis_device(results.scenario) and _thesis_places(*(map(tuple, at.tolist()) for at in own))
+
+
 def is_thesis_device(scenario: Scenario) -> bool:
     """Whether the actuators are those of the thesis' Table I: 2 x 2, 45 mm apart, over points 13.3 mm apart."""
-    feet, places = sorted(scenario.device.centres), sorted(scenario.grid.places)
-    if len(feet) != 4 or len(places) != 9 or scenario.device.out_of_contact:
-        return False
+    d = scenario.device
+    return not d.out_of_contact and _thesis_places(d.centres, scenario.grid.places)
+
+
+def _thesis_places(feet: Iterable[tuple[float, ...]], places: Iterable[tuple[float, ...]]) -> bool:
     square = sorted((x, y) for x in (-0.0225, 0.0225) for y in (-0.0225, 0.0225))
     points = sorted((x, y) for x in (-0.0133, 0.0, 0.0133) for y in (-0.0133, 0.0, 0.0133))
-    return np.allclose(feet, square, atol=5e-4) and np.allclose(places, points, atol=5e-4)
+    pairs = ((sorted(_rounded(feet)), square), (sorted(_rounded(places)), points))
+    return all(len(a) == len(b) and np.allclose(a, b, atol=5e-4) for a, b in pairs)
+
+
+def _rounded(places: Iterable[tuple[float, ...]]) -> list[tuple[float, ...]]:
+    """To a tenth of a millimetre, so that rounding does not change their order."""
+    return [tuple(round(x, 4) + 0.0 for x in place) for place in places]

@@ -14,7 +14,7 @@ from ..errors import DataError
 from ..geometry.limb.bending import with_bends
 from ..geometry.mesh.files import read_mesh
 from ..geometry.mesh.tissue_mesh import TissueMesh, with_finer_skin
-from ..ports import Port
+from ..ports import Port, positions
 from ..rendering import Record, Wavelet, from_samples_file, ricker
 from ..rendering.limits import counted_points
 from ..results.files import (
@@ -56,8 +56,8 @@ PREDICTION = "prediction/prediction.json"
 class Results:
     """What one run left in ``folder``; every property reads its file once, when first asked.
 
-    A missing file raises DataError with the command that makes it. ``compliance``, ``mesh``, ``wavefield``
-    and ``measured`` exist for some runs only: ask :meth:`has` first.
+    A missing file raises DataError with the command that makes it. ``compliance``, ``mesh`` and
+    ``wavefield`` exist for some runs only: ask :meth:`has` first.
     """
 
     folder: Path
@@ -96,8 +96,6 @@ class Results:
 
     def remedy(self, name: str) -> str:
         """Half a sentence: the command that makes the file ``name``."""
-        if name == "measured.nc":
-            return "keep a measured G there (forearm_fem.results.files.write_transfer) to compare with"
         return f"`forearm-fem {STAGES.get(name, 'run')} SCENARIO --out {self.folder}` makes it"
 
     @cached_property
@@ -195,11 +193,6 @@ class Results:
         return self.has("wavefield.npz") and self.has("mesh.vtu")
 
     @cached_property
-    def measured(self) -> TransferMatrix:
-        """A measured G kept beside the simulated one."""
-        return read_transfer(self.path("measured.nc"))
-
-    @cached_property
     def record(self) -> Record:
         """The record all signals live on."""
         return record_of(self.drives)
@@ -252,3 +245,13 @@ class Results:
 def record_of(signals: Signals) -> Record:
     """The record that ``signals`` live on."""
     return Record(round(1 / float(signals.time[1] - signals.time[0]), 6), len(signals.time))
+
+
+def places(outputs: Sequence[Port], inputs: Sequence[Port]) -> dict[str, Any]:
+    """Coordinates of grid points and actuators: names, places (x, y, z) [m], and radii [m] of the contacts."""
+    return {
+        "output": [p.name for p in outputs], "input": [p.name for p in inputs],
+        "output_place": (("output", "xyz"), positions(tuple(outputs))),
+        "input_place": (("input", "xyz"), positions(tuple(inputs))),
+        "radius": ("input", [p.radius for p in inputs]),
+    }  # fmt: skip

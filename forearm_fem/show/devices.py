@@ -237,12 +237,12 @@ def plot_difference_map(found: Devices, a: Device, b: Device, *, ax: Axes | None
 
 def devices_page(found: Devices) -> Page:
     """The page of a comparison of devices."""
-    first, every = found.ranked[0], [d.data for d in found.devices]
+    first, every = found.ranked[0], [d.data.to_xarray() for d in found.devices]
     maps = []
     for d in found.devices:
         m = d.data.methods.index(d.best.method)
         notes = [interval_words(d.data, m, t) for t in range(len(d.data.targets))]
-        drawn = plot_strength_map(d.data, d.best.method, notes, alike=every)
+        drawn = plot_strength_map(d.data.to_xarray(), d.best.method, notes, alike=every)
         maps.append(embedded(drawn, f"{d.name}: S, {d.best.method}"))
     differences = [
         embedded(plot_difference_map(found, first, d),

@@ -17,7 +17,7 @@ from ..scenario.device import GridPlaces, Places
 from ..transfer import entry_band_errors, size_words
 from ..typing import FloatArray
 from .data import Results
-from .judge import TABLE_ONE, Strengths, spreads, strengths, table_one_rows
+from .judge import TABLE_ONE, Strengths, spreads, strengths, table_one, table_one_rows
 from .page import Block
 
 _ENGINES = {"fem": "finite elements", "layered": "layered model (semi-analytic; flat, no bone)"}
@@ -209,7 +209,7 @@ def strength_block(results: Results) -> Block | None:
             "edges of the band ring on. Thesis: one participant (P2), measured with the laser vibrometer.")  # fmt: skip
     if data.arms is not None:
         note += f" Arms: 5-95 % of the group's mean S over {data.arms['draws']} arms, apart from the numerics."
-    return Block(list(TABLE_ONE), table_one_rows(data), note)
+    return Block(list(TABLE_ONE), table_one_rows(table_one(data)), note)
 
 
 def window_words(data: Strengths) -> str:

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
+from textwrap import wrap
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import xarray as xr
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from PIL import Image
 
 from ..device.response import carries_points
@@ -22,17 +28,21 @@ from .data import Results
 from .motion import Motion, View, default_times, motion, nice, shown_values
 from .scene import (
     MM,
+    NAMED,
     add_bones,
     add_device,
     add_grid,
     add_scale_bar,
+    cones_of,
+    on_picture,
     plotter_for,
     surface_grid,
+    trimmed,
     volume_grid,
 )
-from .style import SIGNED, SIZE
+from .style import COLUMN, PAGE, SIGNED, SIZE, sheet, styled
 
-__all__ = ["Look", "animate", "render_still"]
+__all__ = ["Look", "animate", "plot_wavefield", "wavefield"]
 
 CAMERAS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     {"oblique": (-0.75, -1.0, 0.95), "top": (0.0, -0.001, 1.0), "side": (0.0, -1.0, 0.25), "wrist": (-1.0, -0.12, 0.3)}
@@ -47,13 +57,15 @@ _MAPS = {"normal": SIGNED, "magnitude": SIZE, "phase": "twilight"}
 class Look:
     """How to show it: ``camera`` of :data:`CAMERAS`; ``cut`` "", "x", "y" or "xy" opens the limb in front of planes
     through the target normal to these axes; ``amplification`` [-] (None: so that the largest displacement is drawn as
-    about 5 mm); ``limit`` [m] of the colours (None: what the grid points reach)."""
+    about 5 mm); ``limit`` [m] of the colours (None: what the grid points reach); ``bare`` leaves out words and the
+    bar of colours."""
 
     camera: str = "oblique"
     cut: str = ""
     amplification: float | None = None
     limit: float | None = None
     size: tuple[int, int] = (1200, 900)
+    bare: bool = False
 
     def __post_init__(self) -> None:
         """Refuse cameras and cuts that do not exist."""
@@ -150,6 +162,7 @@ class Stage:
     factor: float
     limit: float
     without: tuple[str, ...] = ()
+    silent: bool = False
 
     def show(self, step: int) -> None:
         """Deform and colour the body as at ``step``, and say which it is."""
@@ -166,11 +179,19 @@ class Stage:
         self.body.dataset.compute_normals(
             cell_normals=False, split_vertices=False, consistent_normals=False, inplace=True
         )
-        self.plotter.add_text(self._words(step), position="upper_left", font_size=10, color="black", name="words")
+        if not self.silent:
+            self.plotter.add_text(
+                "\n".join(self.words(step)), position="upper_left", font_size=10, color="black", name="words"
+            )
 
-    def _words(self, step: int) -> str:
-        lines = [self.moved.view.words, self.moved.label(step), drawn_words(self.factor), *self.without]
-        return "\n".join(lines)
+    def beyond(self, step: int) -> bool:
+        """Whether some of the body moves more than the colours tell."""
+        u = self.moved.displacement(self.body.modes, step)
+        return bool(np.abs(shown_values(u, self.body.normals, self.moved.view.quantity)).max() > 1.001 * self.limit)
+
+    def words(self, step: int) -> list[str]:
+        """View, instant, magnification, and what is left out."""
+        return [self.moved.view.words, self.moved.label(step), drawn_words(self.factor), *self.without]
 
 
 def drawn_words(factor: float) -> str:
@@ -190,25 +211,30 @@ def staged(results: Results, plotter: Any, moved: Motion, look: Look, whole: Mot
     body = body_of(results, look.cut, view.target)
     without = ("without what the skin follows of the housing",) if carries_points(results.scenario.device) else ()
     scales = amplification(whole or moved, body, look), colour_limit(results, whole or moved, look)
-    stage = Stage(plotter, body, moved, *scales, without)
+    stage = Stage(plotter, body, moved, *scales, without, look.bare)
     stage.show(0)
     ports = (*results.transfer.inputs, *results.transfer.outputs)
-    most = 1e6 * stage.limit
-    ends = {"normal": (-most, most), "magnitude": (0.0, most), "phase": (-180.0, 180.0)}[view.quantity]
+    unit, ends = _scale(view.quantity, stage.limit, look)
     plotter.add_mesh(body.dataset, scalars="shown", cmap=_MAPS[view.quantity], clim=ends, smooth_shading=True,
-                     ambient=0.3, diffuse=0.62, specular=0.05, scalar_bar_args=_bar(view.quantity, look),
-                     interpolate_before_map=view.quantity != "phase")  # fmt: skip
+                     ambient=0.3, diffuse=0.62, specular=0.05, scalar_bar_args=_bar(unit, look),
+                     show_scalar_bar=not look.bare, interpolate_before_map=view.quantity != "phase")  # fmt: skip
     left = standing(ports, look.cut, _port(results.transfer.outputs, view.target).position)
-    add_device(plotter, left, opacity=0.25)
-    add_grid(plotter, left, view.target if view.actuator is None else None, lift=0.6)
+    named = not look.bare
+    add_device(plotter, left, opacity=0.25, named=named)
+    add_grid(plotter, left, view.target if view.actuator is None else None, lift=0.6, named=named)
     if look.cut:  # the whole skin hides them
         add_bones(plotter, results.mesh)
-    low = MM * np.array([p.position for p in ports]).min(axis=0)
-    add_scale_bar(plotter, low + np.array([-8, -16, 0]))
-    plotter.add_text(results.stamp, position="upper_right", font_size=6, color="gray")
-    _on_white(plotter, look)
+    add_scale_bar(plotter, _scale_bar(ports), named=named)
+    if named:
+        plotter.add_text(results.stamp, position="upper_right", font_size=6, color="gray")
+        _on_white(plotter, look)
     _aim(plotter, results, look)
     return stage
+
+
+def _scale_bar(ports: Sequence[Port]) -> FloatArray:
+    """Where the bar of 10 mm starts [mm]."""
+    return np.asarray(MM * np.array([p.position for p in ports]).min(axis=0) + np.array([-8, -16, 0]))
 
 
 def _on_white(plotter: Any, look: Look) -> None:
@@ -223,10 +249,18 @@ def _on_white(plotter: Any, look: Look) -> None:
         bar.GetBackgroundProperty().SetOpacity(0.85)
 
 
-def _bar(quantity: str, look: Look) -> dict[str, Any]:
-    names = {"normal": "u_z [µm]" if look.cut else "u outward [µm]", "magnitude": "|u| [µm]", "phase": "phase [°]"}
+def _scale(quantity: str, limit: float, look: Look) -> tuple[str, tuple[float, float]]:
+    """What the colours mean, and their ends."""
+    most = 1e6 * limit
+    return {
+        "normal": ("u_z [µm]" if look.cut else "u outward [µm]", (-most, most)),
+        "magnitude": ("|u| [µm]", (0.0, most)), "phase": ("phase [°]", (-180.0, 180.0)),
+    }[quantity]  # fmt: skip
+
+
+def _bar(unit: str, look: Look) -> dict[str, Any]:
     scale = look.size[1] / 900
-    return {"title": names[quantity], "vertical": True, "position_x": 0.86, "position_y": 0.25, "width": 0.125,
+    return {"title": unit, "vertical": True, "position_x": 0.86, "position_y": 0.25, "width": 0.125,
             "height": 0.5, "title_font_size": round(18 * scale), "label_font_size": round(16 * scale),
             "fmt": "%.3g", "color": "black"}  # fmt: skip
 
@@ -240,28 +274,61 @@ def _aim(plotter: Any, results: Results, look: Look) -> None:
     plotter.camera.zoom(1.2)
 
 
-def render_still(
-    results: Results | str | Path,
-    path: str | Path | None = None,
-    *,
-    view: View | None = None,
-    look: Look | None = None,
-    at: float = 0.0,
-) -> Any:
-    """One picture (height, width, 3), also written to ``path`` (.png) if given.
+def wavefield(
+    results: Results | str | Path, *, view: View | None = None, look: Look | None = None, at: float = 0.0
+) -> xr.Dataset:
+    """The skin at the moment of focus: a ``picture`` (row, column, rgb), and where names stand ``at`` on it [pixels].
 
-    ``at`` is the instant [s], or at a frequency the phase [rad]. Off-screen; raises DataError for what the results
-    do not hold and ForearmError where VTK cannot draw.
+    Attributes: the ``words`` that belong to it, the ``limit`` of its colours, whether some skin moves more. ``at`` is
+    another instant [s], or at a frequency the phase [rad]. Off-screen; raises DataError for what the results do not
+    hold and ForearmError where VTK cannot draw.
     """
-    found, view, look = _given(results, view, look)
+    found, view, look = _given(results, view, look or Look(size=(2400, 1500)))
     moved = motion(found, view, np.array([at]))
     with plotter_for(look.size) as plotter:
-        staged(found, plotter, moved, look, motion(found, view))
-        picture = np.array(plotter.screenshot(None, return_img=True))
-    if path is not None:
-        with atomic_path(path) as beside:
-            Image.fromarray(picture).save(beside)
-    return picture
+        stage = staged(found, plotter, moved, replace(look, bare=True), motion(found, view))
+        picture, corner = trimmed(np.array(plotter.screenshot(None, return_img=True)))
+        names = _names(found, view, look)
+        stands = on_picture(plotter, np.array(list(names.values()))) - corner
+        unit, ends = _scale(view.quantity, stage.limit, look)
+        said = {"words": "; ".join(stage.words(0)), "unit": unit, "ends": ends, "colours": _MAPS[view.quantity],
+                "saturated": int(view.quantity != "phase" and stage.beyond(0))}  # fmt: skip
+    return xr.Dataset(
+        {"picture": (("row", "column", "rgb"), picture, {"table": "no"}), "at": (("name", "pixel"), stands)},
+        {"name": list(names)}, said,
+    )  # fmt: skip
+
+
+def _names(results: Results, view: View, look: Look) -> dict[str, FloatArray]:
+    """Places [mm] of the names of actuators and points, and of the bar's."""
+    ports = (*results.transfer.inputs, *results.transfer.outputs)
+    left = standing(ports, look.cut, _port(results.transfer.outputs, view.target).position)
+    cones, points = cones_of([p for p in left if p.kind == "contact"]), [p for p in left if p.kind == "point"]
+    names = dict(zip(cones.names, cones.tops, strict=True))
+    if len(points) <= NAMED:
+        names |= {p.name: MM * np.array(p.position) + np.array([0, 0, 1.8]) for p in points}
+    return {**names, "10 mm": _scale_bar(ports) + np.array([5.0, -7.0, 0.0])}
+
+
+@styled
+def plot_wavefield(data: xr.Dataset, *, width: int = PAGE) -> Figure:
+    """The skin at the moment of focus, with its colours in micrometres."""
+    tall, wide, _ = data.picture.shape
+    upright = width > COLUMN
+    figure = sheet(width, (width - (20 if upright else 0)) * tall / wide + (10 if upright else 24))
+    axes = figure.add_subplot()
+    axes.imshow(data.picture.values, interpolation="lanczos")
+    axes.axis("off")
+    for name, place in zip(data.name.values, data["at"].values, strict=True):
+        words = axes.annotate(name, place, (0, 1), textcoords="offset points", ha="center", va="bottom", fontsize=6)
+        words.set_path_effects([withStroke(linewidth=1.5, foreground="w", alpha=0.7)])  # on any colour
+    axes.set_title("\n".join(wrap(data.words.replace("-", "\N{MINUS SIGN}"), 110 if upright else 56)))
+    colours = ScalarMappable(Normalize(*data.ends), data.colours)
+    bar = figure.colorbar(colours, ax=axes, fraction=0.03, pad=0.01, shrink=0.8,
+                          extend="both" if data.saturated else "neither",
+                          location="right" if upright else "bottom")  # fmt: skip
+    bar.set_label(data.unit)
+    return figure
 
 
 def animate(
@@ -276,7 +343,7 @@ def animate(
 ) -> Path:
     """A film (.gif, or .mp4 with the extra ``movie``) of the motion at ``steps`` [s], or phases [rad].
 
-    By default 60 instants around the wavelet's centre, or 24 phases. No new solve. Raises as :func:`render_still`,
+    By default 60 instants around the wavelet's centre, or 24 phases. No new solve. Raises as :func:`wavefield`,
     and MissingExtra for an .mp4 without imageio.
     """
     target = Path(path)

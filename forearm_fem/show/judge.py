@@ -7,22 +7,22 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import TwoSlopeNorm
-from matplotlib.figure import FigureBase
+from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from ..errors import DataError
+from ..errors import DataError, NotApplicable
 from ..metrics import StrengthTable, signal_strength_table, thesis_table
 from ..ports import Port, positions
 from ..store.text import markdown_table
-from ..transfer import ErrorEstimate, size_words
+from ..transfer import size_words
 from ..typing import BoolArray, FloatArray
-from .data import Results
-from .page import Table
-from .style import ACTUATORS, GREY, INK, method_colour, panels, single, styled, widen
+from .data import Results, places
+from .style import ACTUATORS, COLUMN, GREY, INK, PAGE, method_colour, sheet, single, styled, widen
 
 TABLE_ONE = ("place", "method", "here", "record", "thesis")  # S over the window, over the whole record, and measured
 
@@ -54,6 +54,16 @@ class Strengths:
             self.methods, self.targets, self.values if values is None else values, self.counted
         )
 
+    def to_xarray(self) -> xr.Dataset:
+        """``S``, its interval and ``S_record`` (method, target), which targets are ``counted``, places in metres."""
+        columns = {"S": self.values, "S_low": self.low, "S_high": self.high, "S_record": self.record}
+        seen = places(self.outputs, self.inputs)
+        return xr.Dataset(
+            {**{n: (("method", "target"), v) for n, v in columns.items()}, "counted": ("target", self.counted),
+             **{c: ("target", positions(self.outputs)[:, k], {"units": "m"}) for k, c in enumerate("xy")}},
+            {"method": list(self.methods), "target": list(self.targets), **seen}, {"window": self.window},
+        )  # fmt: skip
+
 
 def strengths(results: Results) -> Strengths:
     """S of a run, from signal_strength.csv."""
@@ -76,25 +86,17 @@ def strengths(results: Results) -> Strengths:
     )  # fmt: skip
 
 
-def strengths_table(data: Strengths) -> Table:
-    """One line per target, a column per method."""
-    places = positions(data.outputs)
-    columns: dict[str, Any] = {"target": data.targets, "x_m": places[:, 0], "y_m": places[:, 1]}
-    for prefix, values in (("S", data.values), ("S_low", data.low), ("S_high", data.high), ("S_record", data.record)):
-        columns |= {f"{prefix}_{m}": s for m, s in zip(data.methods, values, strict=True)}
-    return Table({**columns, "window": [data.window] * len(data.targets)})
-
-
 @styled
-def plot_strength_maps(data: Strengths, *, ax: Axes | None = None) -> FigureBase:
+def plot_strength_maps(data: xr.Dataset, *, width: int = PAGE) -> Figure:
     """S at each target seen from above, one map per method; white is 1, points that do not count are grey."""
-    width = 2.3
-    figure = panels(ax, (width * len(data.methods) + 0.7, width * _aspect(data) + 0.3))
-    axes = np.atleast_1d(figure.subplots(1, len(data.methods), sharey=True))
+    n, wide, bar_mm = data.sizes["method"], width > COLUMN, 16
+    tall = _aspect(data) * ((width - bar_mm) / n if wide else 56)
+    figure = sheet(width, (tall + 8) * (1 if wide else n))
+    axes = np.atleast_1d(figure.subplots(*((1, n) if wide else (n, 1)), sharey=True))
     norm = _norm(data)
     for m, panel in enumerate(axes):
-        _map(panel, data, m, norm, ("",) * len(data.targets))
-        panel.set_title(data.methods[m])
+        _map(panel, data, m, norm, ("",) * data.sizes["target"])
+        panel.set_title(data.method.values[m])
     bar = figure.colorbar(ScalarMappable(norm, "PuOr_r"), ax=list(axes), shrink=0.9, fraction=0.04)
     ticks = [t for t in (0.125, 0.25, 0.5, 1, 2, 4, 8, 16) if abs(np.log2(t)) <= float(norm.vmax or 0)]
     bar.set_ticks([float(np.log2(t)) for t in ticks], labels=[f"{t:g}" for t in ticks])
@@ -105,7 +107,7 @@ def plot_strength_maps(data: Strengths, *, ax: Axes | None = None) -> FigureBase
 
 @styled
 def plot_strength_map(
-    data: Strengths, method: str, notes: Sequence[str], *, alike: Sequence[Strengths] = (), ax: Axes | None = None
+    data: xr.Dataset, method: str, notes: Sequence[str], *, alike: Sequence[xr.Dataset] = (), ax: Axes | None = None
 ) -> Axes:
     """S of one ``method`` seen from above with a note below each target; ``notes`` (n_target,), e.g. ``±0.12``.
 
@@ -113,60 +115,60 @@ def plot_strength_map(
     """
     axes = single(ax, (3.0, 3.0 * _aspect(data)))
     norm = max((_norm(each) for each in (data, *alike)), key=lambda n: float(n.vmax or 0))
-    _map(axes, data, data.methods.index(method), norm, notes)
+    _map(axes, data, list(data.method.values).index(method), norm, notes)
     return axes
 
 
-def _norm(data: Strengths) -> TwoSlopeNorm:
+def _norm(data: xr.Dataset) -> TwoSlopeNorm:
     """Colours of log2 S, the same to both sides of S = 1, by the points that count."""
-    counted = data.values[:, data.counted] if data.counted.any() else data.values
+    counted = data.S.values[:, data.counted.values] if data.counted.any() else data.S.values
     with np.errstate(divide="ignore"):
         size = np.abs(np.log2(counted))
     spread = float(np.clip(np.max(size[np.isfinite(size)], initial=0.1), 0.1, 5.0))
     return TwoSlopeNorm(0, -spread, spread)
 
 
-def _extent(data: Strengths) -> tuple[FloatArray, FloatArray, float]:
+def _extent(data: xr.Dataset) -> tuple[FloatArray, FloatArray, float]:
     """Corners (x, y) [mm] of a map, and the radius [mm] of a point's disc on it."""
-    at, coils = 1e3 * positions(data.outputs)[:, :2], 1e3 * positions(data.inputs)[:, :2]
+    at, coils = (1e3 * data[f"{side}_place"].values[:, :2] for side in ("output", "input"))
     apart = np.linalg.norm(at[:, None] - at[None], axis=2)
     radius = 0.36 * float(np.min(apart[apart > 0], initial=20.0))
-    rims = np.array([1e3 * p.radius for p in data.inputs])[:, None]
+    rims = 1e3 * data.radius.values[:, None]
     low = np.concatenate([at - radius, coils - rims]).min(axis=0) - (1.0, 6.0)
     high = np.concatenate([at + radius, coils + rims]).max(axis=0) + 1.0
     return low, high, radius
 
 
-def _aspect(data: Strengths) -> float:
+def _aspect(data: xr.Dataset) -> float:
     """Height of a map over its width."""
     low, high, _ = _extent(data)
     wide, tall = high - low
     return float(np.clip(tall / wide, 0.4, 1.5))
 
 
-def _map(panel: Axes, data: Strengths, m: int, norm: TwoSlopeNorm, notes: Sequence[str]) -> None:
-    at, coils, values = 1e3 * positions(data.outputs), 1e3 * positions(data.inputs), data.values[m]
+def _map(panel: Axes, data: xr.Dataset, m: int, norm: TwoSlopeNorm, notes: Sequence[str]) -> None:
+    at, coils = (1e3 * data[f"{side}_place"].values[:, :2] for side in ("output", "input"))
     low, high, radius = _extent(data)
     named = len(at) <= 25  # enough room for numbers
-    for place, port in zip(coils, data.inputs, strict=True):
-        panel.add_patch(Circle(place[:2], 1e3 * port.radius, facecolor="#EEEEEE", edgecolor=GREY, lw=0.8, zorder=3))
-        hidden = np.linalg.norm(at[:, :2] - place[:2], axis=1).min() < radius
-        beside = place[0] - max(radius, 1e3 * port.radius) - 0.5 if hidden else place[0]
-        panel.annotate(port.name, (beside, place[1]), ha="right" if hidden else "center", va="center", fontsize=6,
+    for place, rim, name in zip(coils, 1e3 * data.radius.values, data.input.values, strict=True):
+        panel.add_patch(Circle(place, rim, facecolor="#EEEEEE", edgecolor=GREY, lw=0.8, zorder=3))
+        hidden = np.linalg.norm(at - place, axis=1).min() < radius
+        beside = place[0] - max(radius, rim) - 0.5 if hidden else place[0]
+        panel.annotate(name, (beside, place[1]), ha="right" if hidden else "center", va="center", fontsize=6,
                        color=GREY, zorder=6)  # fmt: skip
-    for k, (place, value) in enumerate(zip(at, values, strict=True)):
+    for k, (place, value) in enumerate(zip(at, data.S.values[m], strict=True)):
         counts = bool(data.counted[k])
         with np.errstate(divide="ignore"):
             shade = float(np.clip(norm(np.log2(value)), 0, 1)) if np.isfinite(value) else 1.0 if value > 0 else 0.5
         look: dict[str, Any] = {"edgecolor": INK if counts else GREY, "lw": 0.5, "ls": "-" if counts else ":"}
         face = colormaps["PuOr_r"](shade) if counts else "#DDDDDD"
-        panel.add_patch(Circle(place[:2], radius, facecolor=face, zorder=4, **look))
+        panel.add_patch(Circle(place, radius, facecolor=face, zorder=4, **look))
         if not named:
             continue
         ink = GREY if not counts else "w" if abs(shade - 0.5) > 0.36 else INK
-        panel.annotate(f"{value:.2f}" if value < 10 else f"{value:.3g}", place[:2], ha="center", va="center",
+        panel.annotate(f"{value:.2f}" if value < 10 else f"{value:.3g}", place, ha="center", va="center",
                        fontsize=7.5, color=ink, zorder=5)  # fmt: skip
-        below = f"{data.targets[k]} {notes[k] if counts else ''}".rstrip()
+        below = f"{data.target.values[k]} {notes[k] if counts else ''}".rstrip()
         panel.annotate(below, (place[0], place[1] - radius), (0, -1.5), textcoords="offset points", ha="center",
                        va="top", fontsize=6, color="#555555", zorder=5)  # fmt: skip
     panel.plot([low[0], low[0] + 10], [low[1] + 1.5] * 2, color=INK, lw=1.5, solid_capstyle="butt")
@@ -177,20 +179,35 @@ def _map(panel: Axes, data: Strengths, m: int, norm: TwoSlopeNorm, notes: Sequen
     widen(panel)
 
 
-def table_one_rows(data: Strengths) -> list[list[str]]:
-    """Rows of Table I: place, method, S over the window, over the whole record, and the thesis'."""
-    ours, theirs = data.table(), thesis_table()
-    record = data.table(data.record)
+def table_one(data: Strengths) -> xr.Dataset:
+    """Table I: ``mean`` and ``std`` of S (group, method, side), here over the window, here over the whole record, and
+    in the thesis; ``note`` (group, method) are the spreads that a prediction knows."""
+    ours, record, theirs = data.table(), data.table(data.record), thesis_table()
+    mean = np.full((len(ours.groups), len(ours.methods), 3), np.nan)
+    std = mean.copy()
+    for k, table in enumerate((ours, record, theirs)):
+        for g, group in enumerate(ours.groups):
+            for m, method in enumerate(ours.methods):
+                if group in table.groups and method in table.methods:
+                    at = table.groups.index(group), table.methods.index(method)
+                    mean[g, m, k], std[g, m, k] = table.mean[at], table.std[at]
+    notes = [[spreads(data, m, g) for m in ours.methods] for g in ours.groups]
+    dims = ("group", "method", "side")
+    return xr.Dataset(
+        {"mean": (dims, mean), "std": (dims, std), "note": (dims[:2], np.array(notes), {"table": "no"})},
+        {"group": list(ours.groups), "method": list(ours.methods), "side": list(TABLE_ONE[2:])},
+        {"window": data.window},
+    )
+
+
+def table_one_rows(data: xr.Dataset) -> list[list[str]]:
+    """Rows of Table I as text: place, method, S over the window, over the whole record, and the thesis'."""
     rows = []
-    for g, group in enumerate(ours.groups):
-        for m, method in enumerate(ours.methods):
-            whole = _cell(record.mean[g, m], record.std[g, m]) if np.isfinite(record.mean[g, m]) else "–"
-            here = _cell(ours.mean[g, m], ours.std[g, m]) + spreads(data, method, group)
-            thesis = "–"
-            if group in theirs.groups and method in theirs.methods:
-                at = theirs.groups.index(group), theirs.methods.index(method)
-                thesis = _cell(theirs.mean[at], theirs.std[at])
-            rows.append([group, method, here, whole, thesis])
+    for g, group in enumerate(data.group.values):
+        for m, method in enumerate(data.method.values):
+            sides = zip(data["mean"].values[g, m], data["std"].values[g, m], strict=True)
+            here, *others = (_cell(*each) for each in sides)
+            rows.append([str(group), str(method), f"{here}{data.note.values[g, m]}", *others])
     return rows
 
 
@@ -208,143 +225,105 @@ def spreads(data: Strengths, method: str, place: str) -> str:
 
 
 def _cell(mean: float, std: float) -> str:
-    return f"{mean:.2f}" if np.isnan(std) else f"{mean:.2f} ± {std:.2f}"
+    return "–" if np.isnan(mean) else f"{mean:.2f}" if np.isnan(std) else f"{mean:.2f} ± {std:.2f}"
 
 
-def table_one_markdown(data: Strengths) -> str:
-    """Table I, simulated and thesis side by side."""
-    return markdown_table(TABLE_ONE, table_one_rows(data))
-
-
-def table_one_extra(data: Strengths) -> dict[str, str]:
-    """The table as Markdown and as LaTeX (``booktabs``) beside the figure."""
-    return {"table.md": table_one_markdown(data), "table.tex": table_one_latex(data)}
-
-
-def table_one_latex(data: Strengths) -> str:
-    """Table I as a LaTeX ``tabular`` with the rules of ``booktabs``."""
+def table_one_extra(data: xr.Dataset) -> dict[str, str]:
+    """The table as Markdown and as a LaTeX ``tabular`` with the rules of ``booktabs``, beside the figure."""
     rows, shown = table_one_rows(data), ""
     lines = [r"\begin{tabular}{llccc}", r"\toprule", " & ".join(TABLE_ONE) + r" \\", r"\midrule"]
     for place, method, *numbers in rows:
-        named = place if place != shown else ""
-        shown = place
+        named, shown = place if place != shown else "", place
         cells = (named, method, *(n.replace("±", r"$\pm$").replace("–", "--").replace("%", r"\%") for n in numbers))
         lines.append(" & ".join(cells) + r" \\")
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
-
-
-def table_one_csv(data: Strengths) -> Table:
-    """Mean and standard deviation, here over the window and over the record, and in the thesis."""
-    ours, theirs = data.table(), thesis_table()
-    record = data.table(data.record)
-    lines = [(g, m) for g in ours.groups for m in ours.methods]
-    sides = (("here", ours), ("here_record", record), ("thesis", theirs))
-    columns: dict[str, Any] = {f"{prefix}_{what}": [] for prefix, _ in sides for what in ("mean", "std")}
-    for g, m in lines:
-        for prefix, table in sides:
-            known = g in table.groups and m in table.methods
-            at = (table.groups.index(g), table.methods.index(m)) if known else None
-            columns[f"{prefix}_mean"].append(float(table.mean[at]) if at else np.nan)
-            columns[f"{prefix}_std"].append(float(table.std[at]) if at else np.nan)
-    groups, methods = [g for g, _ in lines], [m for _, m in lines]
-    return Table({"group": groups, "method": methods, **columns, "window": [data.window] * len(lines)})
+    latex = "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+    return {"table.md": markdown_table(TABLE_ONE, rows), "table.tex": latex}
 
 
 @styled
-def plot_table_one(data: Strengths, *, ax: Axes | None = None) -> FigureBase:
+def plot_table_one(data: xr.Dataset, *, width: int = PAGE) -> Figure:
     """Signal strength by place on the grid, here (filled) and in the thesis (open), and the numbers below."""
-    first = data.methods[0]  # a place is named once
+    first, wide = data.method.values[0], width > COLUMN  # a place is named once
+    if not wide and any(data.note.values.ravel()):
+        raise NotApplicable(f"with what a prediction says of people its cells need {PAGE} mm, not {width} mm")
     cells = [[place if method == first else "", method, *numbers] for place, method, *numbers in table_one_rows(data)]
-    below = 0.16 * (len(cells) + 1)  # inches: lines of 7 pt
-    figure = panels(ax, (7.1 if data.arms else 6.4, 2.5 + below))
-    top, bottom = figure.subplots(2, 1, height_ratios=(2.5, below))
-    _points(top, data)
+    if not wide:  # which points those are stands at the axis
+        cells = [[place.partition(" (")[0], *others] for place, *others in cells]
+    size = 7.0 if wide else 6.0
+    below = 0.58 * size * (len(cells) + 1)  # mm: lines of that many points
+    figure = sheet(width, 66 + below)
+    top, bottom = figure.subplots(2, 1, height_ratios=(66, below))
+    _points(top, data, 3 if wide else 2)
     bottom.axis("off")
-    header = list(TABLE_ONE)
-    table = bottom.table(cells, colLabels=header, bbox=(0, 0, 1, 1), cellLoc="left", colLoc="left")
+    table = bottom.table(cells, colLabels=list(TABLE_ONE), bbox=(0, 0, 1, 1), cellLoc="left", colLoc="left")
     table.auto_set_font_size(False)
-    table.set_fontsize(7)
-    wide = [max(map(len, column)) + 2 for column in zip(header, *cells, strict=True)]
+    table.set_fontsize(size)
+    widths = [max(map(len, column)) + 2 for column in zip(TABLE_ONE, *cells, strict=True)]
     for (row, column), cell in table.get_celld().items():
-        cell.set_width(wide[column])
+        cell.set_width(widths[column])
         cell.PAD = 0.02
         cell.set_linewidth(0.5)
         cell.visible_edges = "T" if row == 0 or cells[row - 1][0] else ""
     return figure
 
 
-def _points(ax: Axes, data: Strengths) -> None:
-    ours, theirs = data.table(), thesis_table()
-    place = np.arange(len(ours.groups), dtype=float)
-    for m, method in enumerate(ours.methods):
-        x = place + 0.24 * (m - (len(ours.methods) - 1) / 2)
-        look: dict[str, Any] = {"color": method_colour(method, ours.methods), "capsize": 2, "lw": 0.8, "ls": "none"}
-        ax.errorbar(x - 0.04, ours.mean[:, m], np.nan_to_num(ours.std[:, m]), fmt="o", label=f"{method}, here", **look)
-        if method in theirs.methods:
-            rows = [theirs.groups.index(g) for g in ours.groups]
-            k = theirs.methods.index(method)
-            ax.errorbar(x + 0.04, theirs.mean[rows, k], np.nan_to_num(theirs.std[rows, k]), fmt="o", mfc="w",
-                        label=f"{method}, thesis P2", **look)  # fmt: skip
+def _points(ax: Axes, data: xr.Dataset, columns: int) -> None:
+    methods, place = list(data.method.values), np.arange(data.sizes["group"], dtype=float)
+    for m, method in enumerate(methods):
+        x = place + 0.24 * (m - (len(methods) - 1) / 2)
+        look: dict[str, Any] = {"color": method_colour(method, methods), "capsize": 2, "lw": 0.8, "ls": "none"}
+        for side, aside, words, face in ((TABLE_ONE[2], -0.04, "here", None), (TABLE_ONE[4], 0.04, "thesis P2", "w")):
+            mean, std = (data[what].isel(method=m).sel(side=side).values for what in ("mean", "std"))
+            if np.isfinite(mean).any():
+                ax.errorbar(x + aside, mean, np.nan_to_num(std), fmt="o", mfc=face, label=f"{method}, {words}", **look)
     ax.axhline(1, color=GREY, lw=0.8, ls="--")
     if data.window:
         over = data.window.replace("-", "\N{MINUS SIGN}") if data.window != "record" else "the whole record"
         ax.set_title(f"S over {over}", fontsize=7)
-    ax.set_xticks(place, ours.groups)
+    ax.set_xticks(place, list(data.group.values))
     ax.set(ylabel="signal strength S [-]", yscale="log")
     low, high = ax.get_ylim()
-    ax.set_ylim(low, high := high * 1.8)
     ticks = [t for t in (0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 15) if low <= t <= high]
     ax.set_yticks(ticks, [f"{t:g}" for t in ticks])
     ax.minorticks_off()
-    ax.legend(ncols=3, loc="upper left", fontsize=6)
+    ax.legend(ncols=columns, loc="lower center", bbox_to_anchor=(0.5, 1.12), fontsize=6)
 
 
-@dataclass(frozen=True, eq=False)
-class Errors:
-    """Error estimates of G by source, and the accuracy asked for (NaN for measured G)."""
-
-    estimates: tuple[ErrorEstimate, ...]
-    asked: float
-
-
-def errors(results: Results) -> Errors:
-    """Estimates of a run's G."""
-    if not results.transfer.errors:
+def errors(results: Results) -> xr.Dataset:
+    """Error estimates of a run's G: ``e`` (source, frequency) where known, ``band`` and ``method`` (source); the
+    attribute ``asked`` is the accuracy asked for."""
+    if not (estimates := results.transfer.errors):
         raise DataError(f"{results.folder}: G carries no error estimate; it was imported without one")
-    return Errors(results.transfer.errors, results.scenario.accuracy)
-
-
-def errors_table(data: Errors) -> Table:
-    """One line per source and frequency."""
-    lines = []
-    for e in data.estimates:
-        curve = zip(e.frequency, e.per_frequency, strict=True) if e.per_frequency else [(np.nan, e.band)]
-        lines += [(e, f, v) for f, v in curve]
-    return Table(
-        {
-            "source": [e.source for e, _, _ in lines],
-            "frequency_Hz": np.array([f for _, f, _ in lines]),
-            "e": np.array([v for _, _, v in lines]),
-            "e_band": np.array([e.band for e, _, _ in lines]),
-        }
+    known = [np.asarray(e.frequency if e.per_frequency else (), dtype=float) for e in estimates]
+    frequency = np.unique(np.concatenate(known))
+    values = np.full((len(estimates), len(frequency)), np.nan)
+    for k, e in enumerate(estimates):
+        values[k, np.searchsorted(frequency, known[k])] = e.per_frequency
+    return xr.Dataset(
+        {"e": (("source", "frequency"), values), "e_band": ("source", [e.band for e in estimates])},
+        {"source": [e.source for e in estimates], "frequency": ("frequency", frequency, {"units": "Hz"})},
+        {"asked": results.scenario.accuracy},
     )
 
 
 @styled
-def plot_errors(data: Errors, *, ax: Axes | None = None) -> Axes:
+def plot_errors(data: xr.Dataset, *, width: int = COLUMN) -> Figure:
     """e(f) of each source of error on a log scale, band values in the legend, and the accuracy asked for."""
-    axes = single(ax, (3.5, 3.2))
-    for k, e in enumerate(data.estimates):
-        label, colour = f"{e.source}: {size_words(e.band, '.1g')}", ACTUATORS[k % len(ACTUATORS)]
-        if e.per_frequency:
-            marker = "o" if len(e.frequency) < 40 else ""
-            axes.plot(e.frequency, np.maximum(e.per_frequency, 1e-16), marker=marker, ms=2.5, color=colour, label=label)
+    columns = 2 if width <= COLUMN else 4
+    figure = sheet(width, 66 + 4 * -(-data.sizes["source"] // columns))
+    axes = figure.add_subplot()
+    for k, (source, band) in enumerate(zip(data.source.values, data.e_band.values, strict=True)):
+        label, colour = f"{source}: {size_words(float(band), '.1g')}", ACTUATORS[k % len(ACTUATORS)]
+        curve = data.e[k].dropna("frequency")
+        if len(curve):
+            marker = "o" if len(curve) < 40 else ""
+            axes.plot(curve.frequency, np.maximum(curve, 1e-16), marker=marker, ms=2.5, color=colour, label=label)
         else:
-            axes.axhline(max(e.band, 1e-16), color=colour, ls=":", label=label + " (band only)")
+            axes.axhline(max(float(band), 1e-16), color=colour, ls=":", label=label + " (band only)")
     if np.isfinite(data.asked):
         axes.axhline(data.asked, color=GREY, ls="--", lw=0.8)
         axes.annotate(f"asked {data.asked:g}", (0.01, data.asked), xycoords=("axes fraction", "data"), ha="left",
                       va="bottom", fontsize=7, color=GREY)  # fmt: skip
     axes.set(xlabel="frequency [Hz]", ylabel="e(f) = max |ΔG| / max |G| [-]", yscale="log")
-    axes.legend(title="source: $e_{band}$", loc="upper center", bbox_to_anchor=(0.45, -0.18), ncols=2)
-    return axes
+    axes.legend(title="source: $e_{band}$", loc="upper center", bbox_to_anchor=(0.45, -0.18), ncols=columns)
+    return figure

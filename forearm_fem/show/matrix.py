@@ -1,27 +1,23 @@
-"""G itself: size and phase of its entries, how well it can be inverted, and one G against another."""
+"""G itself: size and phase of its entries, and how well it can be inverted."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.axes import Axes
+import xarray as xr
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from matplotlib.figure import FigureBase
+from matplotlib.figure import Figure
 
 from ..metrics import condition_number, singular_values
-from ..metrics.common_ground import CommonGround, common_ground
-from ..ports import distances
 from ..rendering import AutoZeros, Placed
 from ..rendering.drives import Aim
 from ..rendering.spectrum import BinValues, Record
 from ..transfer import TransferMatrix, entry_errors
 from ..typing import ComplexArray, FloatArray
-from .data import Results
-from .page import Table
-from .style import FAINT, GREY, MICRO, NEARNESS, decimal, letter, micro, panels, styled
+from .data import Results, places
+from .style import COLUMN, FAINT, MICRO, NEARNESS, PAGE, decimal, letter, micro, sheet, styled
 
 
 def shown(transfer: TransferMatrix) -> ComplexArray:
@@ -38,88 +34,98 @@ def unwrapped(values: ComplexArray) -> FloatArray:
     return np.where(known, np.unwrap(filled, axis=0), np.nan) / (2 * np.pi)
 
 
-def transfer_table(transfer: TransferMatrix) -> Table:
-    """|G|, what it is stated to be off by (NaN where unknown), and phase [rad] of each entry over frequency."""
-    columns: dict[str, FloatArray] = {"frequency_Hz": transfer.frequency}
-    values, off = shown(transfer), entry_errors(transfer)
-    for o, out in enumerate(transfer.outputs):
-        for i, source in enumerate(transfer.inputs):
-            entry = values[:, o, i]
-            columns[f"abs_G_{out.name}_{source.name}_{transfer.unit}"] = np.abs(entry)
-            columns[f"off_G_{out.name}_{source.name}_{transfer.unit}"] = off[:, o, i]
-            columns[f"phase_G_{out.name}_{source.name}_rad"] = np.angle(entry)
-    return Table(columns)
+def transfer_of(g: TransferMatrix) -> xr.Dataset:
+    """G (frequency, output, input): ``size``, ``error`` that it is stated to be off by (NaN where unknown), and
+    ``phase`` [rad]."""
+    values, dims, unit = shown(g), ("frequency", "output", "input"), {"units": g.unit}
+    return xr.Dataset(
+        {"size": (dims, np.abs(values), unit), "error": (dims, entry_errors(g), unit),
+         "phase": (dims, np.angle(values), {"units": "rad"})},
+        {"frequency": ("frequency", g.frequency, {"units": "Hz"}), **places(g.outputs, g.inputs)},
+    )  # fmt: skip
 
 
 @styled
-def plot_transfer(data: TransferMatrix, *, ax: Axes | None = None) -> FigureBase:
+def plot_transfer(data: xr.Dataset, *, width: int = PAGE) -> Figure:
     """|G| and unwrapped phase of every grid point, one column per actuator, coloured by distance to it.
 
-    Entries lie in the band that they are stated to be known to; where that reaches zero they are pale.
+    Entries lie in the band that they are stated to be known to; where that reaches zero they are pale. A journal's
+    column holds two actuators beside each other.
     """
-    figure = panels(ax, (1.9 * len(data.inputs) + 0.6, 3.9))
-    grid = figure.subplots(2, len(data.inputs), sharex=True, sharey="row", squeeze=False)
-    gap = distances(data.outputs, data.inputs) * 1e3
+    n = data.sizes["input"]
+    beside = min(n, 2 if width <= COLUMN else 6)
+    rows = -(-n // beside)
+    figure = sheet(width, rows * (96 if width > COLUMN else 78) + 6)
+    axes = figure.subplots(2 * rows, beside, sharex=True, squeeze=False)
+    apart = data.output_place.values[:, None] - data.input_place.values[None]
+    gap = 1e3 * np.linalg.norm(apart, axis=2)
     scale = Normalize(float(gap.min()), float(gap.max()))
-    values, off = shown(data), entry_errors(data)
-    for i, source in enumerate(data.inputs):
-        foot = MICRO * np.nanmin(np.abs(values[:, :, i]), initial=np.inf)
+    sizes, errors = MICRO * data["size"].values, MICRO * data.error.values
+    cycles = unwrapped(data["size"].values * np.exp(1j * data.phase.values))
+    for i in range(n):
+        top, bottom = axes[2 * (i // beside), i % beside], axes[2 * (i // beside) + 1, i % beside]
+        foot = np.nanmin(sizes[:, :, i], initial=np.inf)
         for o in np.argsort(-gap[:, i]):  # far points first, so that near ones lie on top
-            entry, colour = values[:, o, i], NEARNESS(scale(gap[o, i]))
-            size, error = MICRO * np.abs(entry), MICRO * off[:, o, i]
+            size, error, colour = sizes[:, o, i], errors[:, o, i], NEARNESS(scale(gap[o, i]))
             known = ~(error >= size)  # where nothing is stated, nothing is doubted
             low, high = np.maximum(size - error, foot), size + error
-            grid[0, i].fill_between(data.frequency, low, high, where=known, color=colour, alpha=0.2, lw=0)
-            grid[0, i].plot(data.frequency, size, color=colour, alpha=0.35, lw=0.8)
-            grid[0, i].plot(data.frequency, np.where(known, size, np.nan), color=colour)
-            grid[1, i].plot(data.frequency, unwrapped(entry), color=colour)
-        grid[0, i].set_title(f"actuator {source.name}")
-        grid[1, i].set_xlabel("frequency [Hz]")
-    grid[0, 0].set(ylabel=f"|G| [{micro(data.unit)}]", yscale="log")
-    grid[1, 0].set_ylabel("phase [cycles]")
-    bar = figure.colorbar(ScalarMappable(scale, NEARNESS), ax=list(grid.ravel()), fraction=0.03, pad=0.01)
+            top.fill_between(data.frequency, low, high, where=known, color=colour, alpha=0.2, lw=0)
+            top.plot(data.frequency, size, color=colour, alpha=0.35, lw=0.8)
+            top.plot(data.frequency, np.where(known, size, np.nan), color=colour)
+            bottom.plot(data.frequency, cycles[:, o, i], color=colour)
+        top.set(title=f"actuator {data.input.values[i]}", yscale="log")
+        if i % beside == 0:
+            top.set_ylabel(f"|G| [{micro(data['size'].units)}]")
+            bottom.set_ylabel("phase [cycles]")
+        if i + beside >= n:
+            bottom.set_xlabel("frequency [Hz]")
+            bottom.tick_params(labelbottom=True)
+    for k in (0, 1):
+        _alike(list(axes[k::2].ravel()[:n]))
+    for panel in (axes[1::2].ravel()[n:], axes[0::2].ravel()[n:]):
+        for empty in panel:
+            empty.axis("off")
+    place = {"location": "bottom", "fraction": 0.02} if width <= COLUMN else {"fraction": 0.03}
+    bar = figure.colorbar(ScalarMappable(scale, NEARNESS), ax=list(axes.ravel()), pad=0.01, **place)
     bar.set_label("distance to the actuator [mm]")
     return figure
 
 
-@dataclass(frozen=True, eq=False)
-class Conditioning:
-    """``singular`` (n, r) of the whole G; ``condition`` (n,) of G and ``control`` (n_target, n) of the rows
-    that the inverse filter controls, for each of ``targets`` [-]."""
-
-    frequency: FloatArray
-    unit: str
-    singular: FloatArray
-    condition: FloatArray
-    targets: tuple[str, ...]
-    control: FloatArray
+def _alike(axes: list[object]) -> None:
+    """One scale for all ``axes``."""
+    limits = np.array([ax.get_ylim() for ax in axes])  # type: ignore[attr-defined]
+    for ax in axes:
+        ax.set_ylim(limits[:, 0].min(), limits[:, 1].max())  # type: ignore[attr-defined]
 
 
-def conditioning(results: Results) -> Conditioning:
+def conditioning(results: Results) -> xr.Dataset:
     """Singular values and condition numbers of a run's G, and of the rows that its renderers inverted; where no zero
-    points are on record (folders before 0.14, nothing rendered) of the default ones."""
+    points are on record (nothing rendered) of the default ones."""
     on_record = results.account.signal_strength.zeros
     held = next((found for m in ("inverse filter", "combination") if (found := on_record.get(m))), None)
     return conditioning_of(results.transfer, held)
 
 
-def conditioning_of(transfer: TransferMatrix, zeros: Mapping[str, Sequence[str]] | None = None) -> Conditioning:
-    """The same for any G, with the zero points ``zeros`` of each target; None: every output with its default ones,
-    none where the grid is no rectangle."""
+def conditioning_of(transfer: TransferMatrix, zeros: Mapping[str, Sequence[str]] | None = None) -> xr.Dataset:
+    """``singular`` (frequency, order) of G, ``condition`` (frequency), and ``control`` (target, frequency) of the rows
+    that the inverse filter controls.
+
+    ``zeros`` are the zero points of each target; None: every output with its default ones, none where the grid is no
+    rectangle.
+    """
     values = shown(transfer)
     names = [p.name for p in transfer.outputs]
     held = {t: zero_points(transfer, t) for t in names} if zeros is None else zeros
     rows = {t: [names.index(n) for n in (t, *others)] for t, others in held.items()}
     rows = {t: r for t, r in rows.items() if len(r) > 1}
     control = np.array([condition_number(values[:, r]) for r in rows.values()]).reshape(len(rows), len(values))
-    return Conditioning(
-        transfer.frequency,
-        transfer.unit,
-        singular_values(values),
-        condition_number(values),
-        tuple(rows),
-        control,
-    )
+    singular = singular_values(values)
+    return xr.Dataset(
+        {"singular": (("frequency", "order"), singular, {"units": transfer.unit}),
+         "condition": ("frequency", condition_number(values)), "control": (("target", "frequency"), control)},
+        {"frequency": ("frequency", transfer.frequency, {"units": "Hz"}), "target": list(rows),
+         "order": np.arange(1, singular.shape[1] + 1)},
+    )  # fmt: skip
 
 
 def zero_points(transfer: TransferMatrix, target: str) -> tuple[str, ...]:
@@ -133,28 +139,23 @@ def _unused(names: tuple[str, ...]) -> Aim:
     raise AssertionError(f"the corner rule does not try drives, asked for {names}")
 
 
-def conditioning_table(data: Conditioning) -> Table:
-    """Everything over frequency."""
-    singular = {f"s{k + 1}_{data.unit}": data.singular[:, k] for k in range(data.singular.shape[1])}
-    control = {f"condition_target_{t}": c for t, c in zip(data.targets, data.control, strict=True)}
-    return Table({"frequency_Hz": data.frequency, **singular, "condition_G": data.condition, **control})
-
-
 @styled
-def plot_conditioning(data: Conditioning, *, ax: Axes | None = None) -> FigureBase:
+def plot_conditioning(data: xr.Dataset, *, width: int = PAGE) -> Figure:
     """Singular values of G, and condition numbers of G and of the rows an inverse filter controls."""
-    figure = panels(ax, (7.0, 2.8))
-    left, right = figure.subplots(1, 2)
-    for k, line in enumerate(data.singular.T):
-        left.plot(data.frequency, MICRO * line, label=f"$s_{k + 1}$")
-    left.set(yscale="log", xlabel="frequency [Hz]", ylabel=f"singular values of G [{micro(data.unit)}]")
+    wide = width > COLUMN
+    figure = sheet(width, 70 if wide else 125)
+    left, right = figure.subplots(1, 2) if wide else figure.subplots(2, 1)
+    for k, line in zip(data.order.values, data.singular.values.T, strict=True):
+        left.plot(data.frequency, MICRO * line, label=f"$s_{k}$")
+    left.set(yscale="log", xlabel="frequency [Hz]", ylabel=f"singular values of G [{micro(data.singular.units)}]")
     left.legend(ncols=2)
     decimal(left.yaxis)
-    for k, line in enumerate(data.control):
-        label = f"controlled rows, each target ({len(data.targets)})" if k == 0 else None
+    targets = list(data.target.values)
+    for k, line in enumerate(data.control.values):
+        label = f"controlled rows, each target ({len(targets)})" if k == 0 else None
         right.plot(data.frequency, line, color=FAINT, lw=0.7, label=label)
-    if "5" in data.targets:
-        line = data.control[data.targets.index("5")]
+    if "5" in targets:
+        line = data.control.values[targets.index("5")]
         right.plot(data.frequency, line, color="#D55E00", label="controlled rows, target 5")
     right.plot(data.frequency, data.condition, color="#0072B2", label="all of G")
     right.set(yscale="log", xlabel="frequency [Hz]", ylabel="condition number [-]")
@@ -163,77 +164,3 @@ def plot_conditioning(data: Conditioning, *, ax: Axes | None = None) -> FigureBa
     for panel, text in zip((left, right), "ab", strict=True):
         letter(panel, text)
     return figure
-
-
-@dataclass(frozen=True, eq=False)
-class Versus:
-    """Two transfer matrices on common frequencies, and what they are called."""
-
-    names: tuple[str, str]
-    ground: CommonGround
-
-    @property
-    def error(self) -> FloatArray:
-        """|dG| over the largest |G| of the second at that frequency, (n, n_out, n_in) [-]."""
-        g = self.ground
-        size = np.fmax.reduce(np.where(g.valid, np.abs(g.b), np.nan), axis=(1, 2), keepdims=True)  # NaN: a missing bin
-        return np.where(g.valid, np.abs(g.a - g.b) / size, np.nan)
-
-
-def versus(results: Results) -> Versus:
-    """A run's G and the measured one kept beside it."""
-    return Versus(("simulated", "measured"), common_ground(results.transfer, results.measured))
-
-
-def versus_of(a: TransferMatrix, b: TransferMatrix, names: tuple[str, str] = ("A", "B")) -> Versus:
-    """Any two transfer matrices; raises as :func:`forearm_fem.metrics.common_ground.common_ground`."""
-    return Versus(names, common_ground(a, b))
-
-
-def versus_table(data: Versus) -> Table:
-    """|G| of both and their relative difference, entry by entry; NaN where one is unknown."""
-    g = data.ground
-    first, second = (np.where(g.valid | (each != 0), np.abs(each), np.nan) for each in (g.a, g.b))
-    columns: dict[str, FloatArray] = {"frequency_Hz": g.frequency}
-    error = data.error
-    for o, out in enumerate(g.outputs):
-        for i, source in enumerate(g.inputs):
-            tag = f"{out.name}_{source.name}"
-            columns[f"abs_{data.names[0]}_{tag}_{g.unit}"] = first[:, o, i]
-            columns[f"abs_{data.names[1]}_{tag}_{g.unit}"] = second[:, o, i]
-            columns[f"difference_{tag}"] = error[:, o, i]
-    return Table(columns)
-
-
-@styled
-def plot_versus(data: Versus, *, ax: Axes | None = None) -> FigureBase:
-    """|G|, phase and e(f) of two matrices per actuator: nearest, middle and farthest point."""
-    g = data.ground
-    figure = panels(ax, (1.9 * len(g.inputs) + 0.4, 5.0))
-    grid = figure.subplots(3, len(g.inputs), sharex=True, sharey="row", squeeze=False)
-    for i, source in enumerate(g.inputs):
-        _overlay(grid[:, i], data, i)
-        grid[0, i].set_title(f"actuator {source.name}")
-        grid[2, i].set_xlabel("frequency [Hz]")
-    grid[0, 0].set(ylabel=f"|G| [{micro(g.unit)}]", yscale="log")
-    grid[1, 0].set_ylabel("phase [cycles]")
-    scale = "log" if np.any(data.error > 0) else "linear"
-    grid[2, 0].set(ylabel="|ΔG| / max |G| [-]", yscale=scale)
-    handles = [
-        grid[0, 0].plot([], [], color=GREY, ls=s, label=n)[0] for n, s in zip(data.names, ("-", ":"), strict=True)
-    ]
-    figure.legend(handles=handles, loc="outside upper right", ncols=2)
-    return figure
-
-
-def _overlay(column: FloatArray, data: Versus, i: int) -> None:
-    g, error = data.ground, data.error
-    order = np.argsort(distances(g.outputs, (g.inputs[i],))[:, 0], kind="stable")
-    some = [int(order[k]) for k in sorted({0, len(order) // 2, len(order) - 1})]  # nearest, middle and farthest
-    for o, colour in zip(some, ("#0072B2", "#E69F00", "#CC79A7"), strict=False):
-        for values, line, label in ((g.a, "-", f"point {g.outputs[o].name}"), (g.b, ":", None)):
-            entry = np.where(g.valid[:, o, i], values[:, o, i], np.nan + 0j)
-            column[0].plot(g.frequency, MICRO * np.abs(entry), ls=line, color=colour, label=label)
-            column[1].plot(g.frequency, unwrapped(entry), ls=line, color=colour)
-        column[2].plot(g.frequency, error[:, o, i], color=colour)
-    column[0].legend()

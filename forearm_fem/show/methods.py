@@ -2,193 +2,133 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import FigureBase
+import xarray as xr
+from matplotlib.figure import Figure
 
 from ..errors import NotApplicable
 from ..measurement.estimators import ExponentialSweep
-from ..ports import Port, positions
 from ..rendering import Record, place, respond, to_spectrum
-from ..typing import ComplexArray, FloatArray
-from .data import Results
+from ..typing import FloatArray
+from .data import Results, places
 from .device import busy
 from .matrix import shown, unwrapped, zero_points
-from .page import Table
-from .style import ACTUATORS, GREY, INK, MICRO, panels, styled, widen
+from .style import ACTUATORS, COLUMN, GREY, INK, MICRO, PAGE, sheet, styled, widen
+
+_POINT, _MOTOR = "#D55E00", "#A3467E"
 
 
-@dataclass(frozen=True, eq=False)
-class SweptEntry:
-    """One entry of G from a sweep: ``drive`` and ``response`` (n_t,) over ``time`` [s], ``entry`` (n,) over
-    ``frequency`` [Hz]."""
+def method(results: Results) -> xr.Dataset:
+    """Entry G_11 under the scenario's sweep, and the inverse filter's drives of target 5 (or the first).
 
-    actuator: Port
-    point: Port
-    drive_unit: str
-    time: FloatArray
-    drive: FloatArray
-    response: FloatArray
-    frequency: FloatArray
-    entry: ComplexArray
-    unit: str
-
-
-@dataclass(frozen=True, eq=False)
-class Method:
-    """Figure 4: the entry, and for a target the controls wanted, the drives, and what the points then do.
-
-    ``wanted`` and ``reached`` (n_control, n_t) [m], ``drives`` (n_in, n_t) at ``time`` (n_t,) [s].
+    ``wanted`` and ``reached`` (control, time) [m], ``drive`` (input, time); ``sweep`` and ``response`` over
+    ``sweep_time``; ``entry`` over ``frequency``.
     """
-
-    measured: SweptEntry
-    outputs: tuple[Port, ...]
-    inputs: tuple[Port, ...]
-    target: str
-    controls: tuple[str, ...]
-    time: FloatArray
-    wanted: FloatArray
-    drives: FloatArray
-    reached: FloatArray
-    drive_unit: str
-
-
-def method(results: Results) -> Method:
-    """Entry G_11 under the scenario's sweep, and the inverse filter's drives of target 5 (or the first)."""
     g, moved, sent = results.transfer, results.displacements, results.drives
     if "inverse filter" not in sent.methods:
         raise NotApplicable(f"{results.folder}: the inverse filter was not rendered; figure 4 shows it")
     target = "5" if "5" in sent.targets else sent.targets[0]
     at = (sent.methods.index("inverse filter"), sent.targets.index(target))
     on_record = results.account.signal_strength.zeros.get("inverse filter", {}).get(target)
-    controls = (target, *(on_record or zero_points(g, target)))  # in folders before 0.14 the default ones
-    rows = [moved.channels.index(c) for c in controls]
+    controls = (target, *(on_record or zero_points(g, target)))
     keep = busy(sent.values[at], sent.time)
-    wanted = np.zeros((len(rows), len(sent.time)))
+    wanted = np.zeros((len(controls), len(sent.time)))
     wanted[0] = 1e-6 * results.scenario.rendering.amplitude * results.wavelet.samples
-    return Method(
-        measured=_measure(results),
-        outputs=g.outputs,
-        inputs=g.inputs,
-        target=target,
-        controls=controls,
-        time=sent.time[keep],
-        wanted=wanted[:, keep],
-        drives=sent.values[at][:, keep],
-        reached=moved.values[at][rows][:, keep],
-        drive_unit=sent.unit,
-    )
-
-
-def _measure(results: Results) -> SweptEntry:
-    g = results.transfer
     sweep = ExponentialSweep.of(results.scenario)
+    controlled, metres, driven = ("control", "time"), {"units": "m"}, {"units": sent.unit}
+    return xr.Dataset(
+        {"wanted": (controlled, wanted[:, keep], metres),
+         "reached": (controlled, moved.values[at][[moved.channels.index(c) for c in controls]][:, keep], metres),
+         "drive": (("input", "time"), sent.values[at][:, keep], driven),
+         "sweep": ("sweep_time", sweep.samples(), driven),
+         "response": ("sweep_time", _response(results, sweep), metres),
+         "entry": ("frequency", shown(g)[:, 0, 0], {"units": g.unit})},
+        {"control": list(controls), "time": ("time", sent.time[keep], {"units": "s"}),
+         "sweep_time": ("sweep_time", np.arange(sweep.n) / sweep.sample_rate, {"units": "s"}),
+         "frequency": ("frequency", g.frequency, {"units": "Hz"}), **places(g.outputs, g.inputs)},
+    )  # fmt: skip
+
+
+def _response(results: Results, sweep: ExponentialSweep) -> FloatArray:
+    """Motion (n_t,) [m] of the first point under the sweep on the first actuator."""
     record = Record(sweep.sample_rate, sweep.n)
-    samples = sweep.samples()
-    placed = place(g, record)
-    spectrum = np.zeros((len(placed.bins.index), len(g.inputs)), dtype=complex)
-    spectrum[:, 0] = to_spectrum(samples, record)[placed.bins.index]
-    moved = respond(placed, spectrum)[0]
-    time = np.arange(sweep.n) / sweep.sample_rate
-    unit = g.unit.rpartition("/")[2]
-    return SweptEntry(g.inputs[0], g.outputs[0], unit, time, samples, moved, g.frequency, shown(g)[:, 0, 0], g.unit)
-
-
-def method_table(data: Method) -> Table:
-    """Controls wanted and reached, and drives, over time."""
-    columns: dict[str, FloatArray] = {"time_s": data.time}
-    for k, name in enumerate(data.controls):
-        columns[f"wanted_{name}_m"] = data.wanted[k]
-        columns[f"reached_{name}_m"] = data.reached[k]
-    for k, port in enumerate(data.inputs):
-        columns[f"drive_{port.name}_{data.drive_unit}"] = data.drives[k]
-    return Table(columns)
-
-
-def method_extra(data: Method) -> dict[str, str]:
-    """The sweep and the response; the transfer function."""
-    m = data.measured
-    over_time = {"time_s": m.time, f"drive_{m.drive_unit}": m.drive, "response_m": m.response}
-    entry = {f"abs_G_{m.unit}": np.abs(m.entry), "phase_G_rad": np.angle(m.entry)}
-    return {
-        "sweep.csv": Table(over_time).as_csv(),
-        "entry.csv": Table({"frequency_Hz": m.frequency, **entry}).as_csv(),
-    }
+    placed = place(results.transfer, record)
+    spectrum = np.zeros((len(placed.bins.index), len(results.transfer.inputs)), dtype=complex)
+    spectrum[:, 0] = to_spectrum(sweep.samples(), record)[placed.bins.index]
+    return np.asarray(respond(placed, spectrum)[0])
 
 
 @styled
-def plot_method(data: Method, *, ax: Axes | None = None) -> FigureBase:
+def plot_method(data: xr.Dataset, *, width: int = PAGE) -> Figure:
     """One entry of G from a sweep (top), and from controls to drives to what the points do (bottom)."""
-    below = 3.3 + 0.5 * max(0, max(len(data.controls), len(data.inputs)) - 5)  # inches: labels of rows keep apart
-    figure = panels(ax, (7.4, 2.3 + below))
-    top, bottom = figure.subfigures(2, 1, height_ratios=(2.3, below), squeeze=False)[:, 0]
-    _entry(top, data)
-    _filter(bottom, data)
+    wide, rows = width > COLUMN, max(data.sizes["control"], data.sizes["input"])
+    above, below = 58 if wide else 84, 18 + 13 * rows
+    figure = sheet(width, above + below)
+    top, bottom = figure.subfigures(2, 1, height_ratios=(above, below), squeeze=False)[:, 0]
+    _entry(top, data, wide)
+    _filter(bottom, data, rows, wide)
     return figure
 
 
-def _entry(figure: FigureBase, data: Method) -> None:
-    m = data.measured
-    where, drive, response, entry = figure.subplots(1, 4, width_ratios=(0.9, 1, 1, 1.1))
-    for ports, mark, colour in ((data.outputs, "o", "#D55E00"), (data.inputs, "s", "#CC79A7")):
-        at = 1e3 * positions(ports)
-        filled = [colour if p in (m.point, m.actuator) else "w" for p in ports]
-        where.scatter(at[:, 0], at[:, 1], c=filled, marker=mark, s=70, edgecolors=colour)
-        for spot, port in zip(at, ports, strict=True):
-            ink = "w" if port in (m.point, m.actuator) else INK
-            where.annotate(port.name, spot[:2], ha="center", va="center", fontsize=5, color=ink)
+def _entry(figure: Any, data: xr.Dataset, wide: bool) -> None:
+    shape: dict[str, Any] = {"width_ratios": (0.9, 1, 1, 1.1)} if wide else {"height_ratios": (1, 1)}
+    where, drive, response, entry = figure.subplots(*((1, 4) if wide else (2, 2)), **shape).ravel()
+    point, motor = str(data.output.values[0]), str(data.input.values[0])
+    for side, mark, colour in (("output", "o", _POINT), ("input", "s", _MOTOR)):
+        at = 1e3 * data[f"{side}_place"].values
+        where.scatter(at[:, 0], at[:, 1], c=[colour, *["w"] * (len(at) - 1)], marker=mark, s=70, edgecolors=colour)
+        for k, (spot, name) in enumerate(zip(at, data[side].values, strict=True)):
+            where.annotate(name, spot[:2], ha="center", va="center", fontsize=5, color=INK if k else "w")
     where.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="device")
     where.margins(0.15)
     widen(where)
-    drive.plot(m.time, m.drive, color="#CC79A7", lw=0.3, rasterized=True)
-    drive.set(xlabel="time [s]", ylabel=f"[{m.drive_unit}]", title=f"sweep to {m.actuator.name}")
-    response.plot(m.time, MICRO * m.response, color="#D55E00", lw=0.3, rasterized=True)
-    response.set(xlabel="time [s]", ylabel="[µm]", title=f"response of point {m.point.name}")
-    entry.plot(m.frequency, MICRO * np.abs(m.entry), color=INK)
-    entry.set(
-        xlabel="frequency [Hz]", ylabel=f"[µ{m.unit}]", title=f"|G| and phase, {m.point.name} ← {m.actuator.name}"
-    )
+    drive.plot(data.sweep_time, data.sweep, color=_MOTOR, lw=0.3, rasterized=True)
+    drive.set(xlabel="time [s]", ylabel=f"[{data.sweep.units}]", title=f"sweep to {motor}")
+    response.plot(data.sweep_time, MICRO * data.response, color=_POINT, lw=0.3, rasterized=True)
+    response.set(xlabel="time [s]", ylabel="[µm]", title=f"response of point {point}")
+    entry.plot(data.frequency, MICRO * np.abs(data.entry), color=INK)
+    entry.set(xlabel="frequency [Hz]", ylabel=f"[µ{data.entry.units}]", title=f"|G| and phase, {point} ← {motor}")
     phase = entry.twinx()
-    phase.plot(m.frequency, unwrapped(m.entry), color=GREY, ls="--", lw=0.8)
+    phase.plot(data.frequency, unwrapped(data.entry.values), color=GREY, ls="--", lw=0.8)
     phase.set_ylabel("phase [cycles]", color=GREY)
     phase.grid(False)
     phase.spines["right"].set_visible(True)
     for panel, text in zip((where, drive, response, entry), "abcd", strict=True):
-        panel.text(-0.05, 1.06, text, transform=panel.transAxes, fontweight="bold", ha="right")
+        panel.text(-0.05 if wide else -0.3, 1.06, text, transform=panel.transAxes, fontweight="bold", ha="right")
+        panel.title.set_fontsize(8 if wide else 7)
 
 
-def _filter(figure: FigureBase, data: Method) -> None:
-    n = max(len(data.controls), len(data.inputs))
-    left, middle, right = figure.subfigures(1, 3, squeeze=False)[0]
-    ms = 1e3 * data.time
-    for part, rows, title in (
-        (left, data.wanted, "wanted: target and zeros"),
-        (right, data.reached, "reached (own scale)"),
+def _filter(figure: Any, data: xr.Dataset, rows: int, wide: bool) -> None:
+    controls, motors = ([str(n) for n in data[side].values] for side in ("control", "input"))
+    kinds = [f"{'zero' if k else 'target'} {name}" for k, name in enumerate(controls)]
+    shades = [INK if k else _POINT for k in range(len(controls))]
+    colours = [ACTUATORS[k % 6] for k in range(len(motors))]
+    for part, values, names, unit, title, shade in zip(
+        figure.subfigures(1, 3, squeeze=False)[0],
+        (MICRO * data.wanted, data.drive, MICRO * data.reached),
+        (kinds, motors, kinds),
+        ("µm", data.drive.units, "µm"),
+        ("wanted", "drives, $S = H^{+} U$", "reached"),
+        (shades, colours, shades),
+        strict=True,
     ):
-        most = MICRO * float(np.nanmax(np.abs(rows))) or 1.0
-        axes = np.atleast_1d(part.subplots(n, 1, sharex=True))
+        most = 1.1 * float(np.nanmax(np.abs(values))) or 1.0
+        axes = np.atleast_1d(part.subplots(rows, 1, sharex=True))
         for k, panel in enumerate(axes):
-            if k >= len(data.controls):
+            if k >= len(names):
                 panel.axis("off")
                 continue
-            panel.plot(ms, MICRO * rows[k], color="#D55E00" if k == 0 else INK)
-            panel.set(ylim=(-1.1 * most, 1.1 * most), xlim=(ms[0], ms[-1]))
-            kind = "target" if k == 0 else "zero"
-            panel.set_ylabel(f"{kind} {data.controls[k]}\n[µm]", rotation=0, ha="right", va="center")
-        axes[-1].set_xlabel("time [ms]")
-        part.suptitle(title, fontsize=8)
-    axes = np.atleast_1d(middle.subplots(n, 1, sharex=True))
-    most = 1.1 * float(np.abs(data.drives).max()) or 1.0
-    last = min(len(data.inputs), len(axes)) - 1
-    for k, panel in enumerate(axes):
-        if k > last:
-            panel.axis("off")
-            continue
-        panel.plot(ms, data.drives[k], color=ACTUATORS[k % 6])
-        panel.set(ylim=(-most, most), xlim=(ms[0], ms[-1]))
-        panel.set_ylabel(f"{data.inputs[k].name}\n[{data.drive_unit}]", rotation=0, ha="right", va="center")
-    axes[last].set_xlabel("time [ms]")
-    axes[last].tick_params(labelbottom=True)
-    middle.suptitle("drives, $S = H^{+} U$", fontsize=8)
+            panel.plot(1e3 * data.time, values[k], color=shade[k])
+            panel.set(ylim=(-most, most), xlim=(1e3 * data.time[0], 1e3 * data.time[-1]))
+            if wide:
+                panel.set_ylabel(f"{names[k]}\n[{unit}]", rotation=0, ha="right", va="center")
+            else:  # above the curve, which the column is narrow for
+                panel.set_title(names[k], loc="left", fontsize=6, pad=1)
+                panel.tick_params(labelsize=6)
+        last = axes[min(len(names), rows) - 1]
+        last.set_xlabel("time [ms]")
+        last.tick_params(labelbottom=True)
+        words = f"{title}, own scale" if title == "reached" else title
+        part.suptitle(words if wide else f"{title} [{unit}]", fontsize=8 if wide else 7)

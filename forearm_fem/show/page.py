@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
+import xarray as xr
 from jinja2 import Environment
 from matplotlib import style
 from PIL import Image
@@ -24,35 +25,33 @@ from .style import SHEET, Drawn, arrange, figure_of, sign
 # The numbers of a figure as CSV beside it.
 
 
-@dataclass(frozen=True, eq=False)
-class Table:
-    """Columns of one length; names carry the unit, e.g. ``frequency_Hz``."""
+def tables(data: xr.Dataset) -> dict[str, pd.DataFrame]:
+    """Variables of a Dataset as tables, a row for each combination of their coordinates.
 
-    columns: Mapping[str, Any]
+    One table for each set of dimensions: the first is called "", others by their first variable. What has fewer
+    dimensions stands in the first table that holds them; variables with the attribute ``table`` "no" in none.
+    """
+    shown = {str(name): v for name, v in data.data_vars.items() if v.attrs.get("table") != "no"}
+    kinds = [set(v.dims) for v in shown.values()]
+    largest = [d for k, d in enumerate(kinds) if not any(d < other for other in kinds) and d not in kinds[:k]]
+    found: dict[str, pd.DataFrame] = {}
+    for dims in largest:
+        names = [n for n, v in shown.items() if next(d for d in largest if set(v.dims) <= d) is dims]
+        part = data[names].reset_coords(drop=True)
+        for name in [n for n in names if np.iscomplexobj(part[n])]:
+            sides = {f"{name}_{side}": getattr(part[name], side) for side in ("real", "imag")}
+            part = part.assign({n: v.assign_attrs(part[name].attrs) for n, v in sides.items()}).drop_vars(name)
+        order = next(v.dims for v in part.data_vars.values() if set(v.dims) == dims)
+        frame = part.to_dataframe(dim_order=list(order))[list(part.data_vars)].dropna(how="all").reset_index()
+        units = {n: f"{n}_{unit}" for n in frame.columns if n in part and (unit := part[n].attrs.get("units"))}
+        found["" if not found else names[0]] = frame.rename(columns=units)
+    return found
 
-    def as_csv(self, source: str = "") -> str:
-        """Header and rows with ten digits; ``source`` in a first line starting with #."""
-        stream = io.StringIO()
-        if source:
-            stream.write(f"# {source}\n")
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(self.columns)
-        texts = []
-        for column in map(np.asarray, self.columns.values()):
-            form = "{:.10g}".format if np.issubdtype(column.dtype, np.floating) else str
-            texts.append([form(v) for v in column.tolist()])
-        writer.writerows(zip(*texts, strict=True))
-        return stream.getvalue()
 
-
-def stacked_rows(key: str, parts: Mapping[str, Mapping[str, Any]]) -> Table:
-    """Tables below each other, told apart by a first column ``key``."""
-    names = list(next(iter(parts.values())))
-    lengths = {label: len(np.asarray(part[names[0]])) for label, part in parts.items()}
-    columns: dict[str, Any] = {key: [label for label, n in lengths.items() for _ in range(n)]}
-    for name in names:
-        columns[name] = np.concatenate([np.asarray(part[name]) for part in parts.values()])
-    return Table(columns)
+def as_csv(frame: pd.DataFrame, source: str = "") -> str:
+    """Header and rows with ten digits, NaN as ``nan``; ``source`` in a first line starting with #."""
+    head = f"# {source}\n" if source else ""
+    return head + str(frame.to_csv(index=False, lineterminator="\n", float_format="%.10g", na_rep="nan"))
 
 
 # Page: every report of the package, as one self-contained HTML file and as a short Markdown file beside it.

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 
 from ..store.folder import write_text
-from .page import Block, Page, Section, Table, embedded
+from .page import Block, Page, Section, as_csv, embedded
 from .style import GREY, INK, SIGNED, Drawn, letter, method_colour, panels, styled
 
 # Figures of a prediction: bands of S over arms, which method wins, and what drives S.
@@ -21,21 +22,22 @@ _DENSE = 60.0  # largest over smallest S from which labels would overlap
 _MOST = 14  # drivers shown
 
 
-def bands_table(data: Mapping[str, Any]) -> Table:
+def bands_table(data: Mapping[str, Any]) -> pd.DataFrame:
     """One line per method and target: S of the scene, its numerical interval, quantiles over arms, shares.
 
     Quantiles hold each arm's own numerics but in S_bare; so do the shares that are surely or possibly above 1.
     """
-    cells = [(m, t, data["by_target"][m][t]) for m in data["methods"] for t in data["targets"]]
-    columns: dict[str, Any] = {"method": [m for m, _, _ in cells], "target": [t for _, t, _ in cells]}
-    for key in ("value", "low", "high", "above_one", "wins"):
-        columns[f"S_{key}" if key in ("value", "low", "high") else key] = [_number(c[key]) for _, _, c in cells]
-    for k, which in enumerate(("surely", "possibly")):
-        columns[f"{which}_above_one"] = [_number(c["above_one_range"][k]) for _, _, c in cells]
-    for what in ("arms", "bare", "reported", "record"):
-        for k, level in enumerate(data["levels"]):
-            columns[f"S_{what}_{100 * level:g}"] = [_number(c[what][k]) for _, _, c in cells]
-    return Table({name: np.array(c) if not isinstance(c[0], str) else c for name, c in columns.items()})
+    lines = []
+    for m in data["methods"]:
+        for t in data["targets"]:
+            cell = data["by_target"][m][t]
+            line = {"method": m, "target": t, **{f"S_{k}": cell[k] for k in ("value", "low", "high")}}
+            line |= {k: cell[k] for k in ("above_one", "wins")}
+            line |= dict(zip(("surely_above_one", "possibly_above_one"), cell["above_one_range"], strict=True))
+            for what in ("arms", "bare", "reported", "record"):
+                line |= {f"S_{what}_{100 * q:g}": s for q, s in zip(data["levels"], cell[what], strict=True)}
+            lines.append(line)
+    return pd.DataFrame(lines)
 
 
 def _number(value: float | None) -> float:
@@ -91,18 +93,13 @@ def plot_wins(data: Mapping[str, Any], *, ax: Axes | None = None) -> FigureBase:
     return figure
 
 
-def drivers_table(data: Mapping[str, Any]) -> Table:
+def drivers_table(data: Mapping[str, Any]) -> pd.DataFrame:
     """One line per driver, method and group: rank correlation and first-order Sobol' index."""
-    lines = [(d, m, g) for d in data["drivers"] for m in data["methods"] for g in data["groups"]]
-    columns: dict[str, Any] = {
-        "driver": [d["name"] for d, _, _ in lines],
-        "method": [m for _, m, _ in lines],
-        "group": [g for _, _, g in lines],
-    }
-    for what in ("rank", "sobol"):
-        if what in data["drivers"][0]:
-            columns[what] = np.array([_number(d[what][m][g]) for d, m, g in lines])
-    return Table(columns)
+    return pd.DataFrame(
+        {"driver": d["name"], "method": m, "group": g,
+         **{what: _number(d[what][m][g]) for what in ("rank", "sobol") if what in d}}
+        for d in data["drivers"] for m in data["methods"] for g in data["groups"]
+    )  # fmt: skip
 
 
 @styled
@@ -143,7 +140,7 @@ def write_prediction(folder: str | Path, data: Mapping[str, Any]) -> tuple[Path,
     stamp = f"scene {data['scenario']['name']} · {data['draws']} arms, {data['model']} · forearm_fem {data['program']}"
     pictures = {name: embedded(draw(data), title, stamp, name) for name, (title, draw) in _FIGURES.items()}
     for name, table in (("bands", bands_table), ("drivers", drivers_table)):
-        write_text(out / "figures" / f"{name}.csv", table(data).as_csv(stamp))
+        write_text(out / "figures" / f"{name}.csv", as_csv(table(data), stamp))
     title, lead = f"Prediction for scene {data['scenario']['name']}", lead_of(data)
     wins = [
         [group, *(f"{data['by_group'][m][group]['wins']:.0%}" for m in data["methods"])] for group in data["groups"]

@@ -6,72 +6,70 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+import xarray as xr
 from matplotlib import style
+from matplotlib.figure import Figure
 
 from ..errors import DataError, ForearmError, NotApplicable
 from ..progress import Progress, tell
 from ..rendering.lattice import is_thesis_grid
 from ..store.folder import atomic_path, write_text
-from . import device, judge, matrix, mesh, methods, targets, waves
+from . import device, film, judge, matrix, mesh, methods, targets, waves
+from .answer import beside_thesis
 from .data import Results
-from .page import Table
-from .style import SHEET, WIDTHS, Drawn, arrange, clear_legends, figure_of, fit_width, sign
+from .page import as_csv, tables
+from .style import SHEET, WIDTHS, Drawn, arrange, clear_legends, figure_of, sign
 
 FORMATS = ("png", "pdf", "svg")
+_DPI = 300
 _REPRODUCIBLE: Mapping[str, Any] = MappingProxyType({"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}})
 
 
 @dataclass(frozen=True)
 class FigureKind:
-    """A figure: ``compute`` takes its numbers from a run, ``draw`` draws them, ``table`` and ``extra`` write them.
+    """A figure: ``compute`` takes its numbers from a run, ``draw`` draws them ``width`` [mm] wide.
 
-    ``needs`` are the files without which it cannot be made; with one of ``optional`` missing it does not apply to
-    the run (a measured G has no mesh) and is left out unless asked for by name.
+    ``extra`` writes other files beside it. ``needs`` are the files without which it cannot be made; with one of
+    ``optional`` missing it does not apply to the run (a measured G has no mesh) and is left out unless asked for by
+    name.
     """
 
     name: str
     title: str
-    compute: Callable[[Results], Any]
-    draw: Callable[..., Drawn]
-    table: Callable[[Any], Table]
-    extra: Callable[[Any], Mapping[str, str]] = lambda _: {}
+    compute: Callable[[Results], xr.Dataset]
+    draw: Callable[..., Figure]
+    extra: Callable[[xr.Dataset], Mapping[str, str]] = lambda _: {}
     needs: tuple[str, ...] = ("transfer.nc",)
     optional: tuple[str, ...] = ()
 
 
 _SIGNALS = ("transfer.nc", "drives.nc", "displacements.nc")
+_STRENGTHS = ("transfer.nc", "signal_strength.csv")
 _FIXED = (
-    FigureKind("figure-2", "A wavelet along a line", waves.travel, waves.plot_travel, waves.travel_table,
-               waves.travel_extra, ("transfer.nc", "drives.nc")),
+    FigureKind("figure-2", "A wavelet along a line", waves.travel, waves.plot_travel, needs=_SIGNALS[:2]),
     FigureKind("figure-4", "From sweep to transfer function to drives", methods.method, methods.plot_method,
-               methods.method_table, methods.method_extra, _SIGNALS),
-    FigureKind("table-1", "Signal strength beside the thesis' Table I", judge.strengths, judge.plot_table_one,
-               judge.table_one_csv, judge.table_one_extra, ("transfer.nc", "signal_strength.csv")),
-    FigureKind("figure-a2", "Attenuation and dispersion", waves.dispersion, waves.plot_dispersion,
-               waves.dispersion_table),
-    FigureKind("transfer", "G: size, within its error, and phase", attrgetter("transfer"), matrix.plot_transfer,
-               matrix.transfer_table),
+               needs=_SIGNALS),
+    FigureKind("table-1", "Signal strength beside the thesis' Table I", lambda r: judge.table_one(judge.strengths(r)),
+               judge.plot_table_one, judge.table_one_extra, _STRENGTHS),
+    FigureKind("figure-a2", "Attenuation and dispersion", waves.dispersion, waves.plot_dispersion),
+    FigureKind("transfer", "G: size, within its error, and phase", lambda r: matrix.transfer_of(r.transfer),
+               matrix.plot_transfer),
     FigureKind("condition", "Singular values and condition number of G", matrix.conditioning,
-               matrix.plot_conditioning, matrix.conditioning_table),
-    FigureKind("drives", "Drives and their limits", device.drive_levels, device.plot_drives, device.levels_table,
-               device.levels_extra, ("drives.nc",)),
+               matrix.plot_conditioning),
+    FigureKind("drives", "Drives and their limits", device.drive_levels, device.plot_drives, needs=("drives.nc",)),
     FigureKind("impedance", "Driving-point impedance", device.impedance, device.plot_impedance,
-               device.impedance_table, optional=("compliance",)),
-    FigureKind("mesh", "The mesh cut open", mesh.cutaway, mesh.plot_cutaway, mesh.cutaway_table,
-               optional=("mesh.vtu",)),
-    FigureKind("resolution", "Nodes per wavelength", mesh.resolution, mesh.plot_resolution, mesh.resolution_table,
-               optional=("mesh.vtu",)),
-    FigureKind("errors", "Estimated errors of G by source", judge.errors, judge.plot_errors, judge.errors_table,
-               optional=("errors",)),
-    FigureKind("strength", "Signal strength over the targets", judge.strengths, judge.plot_strength_maps,
-               judge.strengths_table, needs=("transfer.nc", "signal_strength.csv")),
-    FigureKind("measured", "Simulated against measured G", matrix.versus, matrix.plot_versus, matrix.versus_table,
-               optional=("measured.nc",)),
+               optional=("compliance",)),
+    FigureKind("wavefield", "The skin at the moment of focus", film.wavefield, film.plot_wavefield, needs=_SIGNALS,
+               optional=("mesh.vtu", "wavefield.npz")),
+    FigureKind("mesh", "The mesh cut open", mesh.cutaway, mesh.plot_cutaway, optional=("mesh.vtu",)),
+    FigureKind("errors", "Estimated errors of G by source", judge.errors, judge.plot_errors, optional=("errors",)),
+    FigureKind("strength", "Signal strength over the targets", lambda r: judge.strengths(r).to_xarray(),
+               judge.plot_strength_maps, needs=_STRENGTHS),
 )  # fmt: skip
 
 
@@ -85,7 +83,7 @@ def kinds(results: Results | None = None) -> Mapping[str, FigureKind]:
         title = f"Waves towards target {t}{f' ({thesis})' if thesis else ''}"
         by_target.append(
             FigureKind(_name_of(t, bool(thesis)), title, partial(targets.target_waves, target=t), targets.plot_target,
-                       targets.target_table, targets.target_extra, _SIGNALS)
+                       needs=_SIGNALS)
         )  # fmt: skip
     return {k.name: k for k in (*_FIXED, *by_target)}
 
@@ -115,10 +113,8 @@ def applies(kind: FigureKind, results: Results) -> str:
         if name != "errors" and not results.has(name):
             what = "it holds no compliance" if name == "compliance" else f"{name} is missing; {results.remedy(name)}"
             return f"{kind.name}: does not apply to {results.folder}: {what}"
-    if kind.name == "table-1":
-        outputs = results.transfer.outputs
-        if not is_thesis_grid(outputs):
-            return f"table-1: the thesis' Table I is for 3 x 3 points, this run's {len(outputs)} lie otherwise"
+    if kind.name == "table-1" and not beside_thesis(results):
+        return "table-1: the thesis' Table I is for its own device, 2 x 2 actuators 45 mm apart over 3 x 3 points"
     return ""
 
 
@@ -135,7 +131,7 @@ def make_figures(
     """Make the figures of a results folder with their numbers as CSV, and return all files written.
 
     ``out_dir`` defaults to ``figures`` inside the folder; ``only`` are names from :func:`kinds`; ``formats`` any of
-    png, pdf and svg; ``width`` one of :data:`.style.WIDTHS` [mm], which figures of many panels refuse; ``footer`` False
+    png, pdf and svg; ``width`` one of :data:`.style.WIDTHS` [mm], exactly; ``footer`` False
     leaves out the line on scene and version. Files appear whole or not at all. Figures that do not apply to the run are
     left out unless named. Raises DataError for an unfinished folder, an unknown name or format, and a folder that
     cannot be written.
@@ -202,15 +198,13 @@ def make_figure(
     beside it."""
     data = kind.compute(results)
     stem = folder / kind.name
-    drawn = kind.draw(data)
-    if width is not None:
-        try:
-            fit_width(figure_of(drawn), width)
-        except NotApplicable as problem:
-            raise NotApplicable(f"{kind.name}: {problem}") from None
+    try:
+        drawn = kind.draw(data) if width is None else kind.draw(data, width=width)
+    except NotApplicable as problem:
+        raise NotApplicable(f"{kind.name}: {problem}") from None
     written = save_drawn(drawn, stem, formats, results.stamp if footer else "")
-    texts = {"csv": kind.table(data).as_csv(results.stamp), **kind.extra(data)}
-    for ending, text in texts.items():
+    texts = {f"{name}.csv" if name else "csv": as_csv(t, results.stamp) for name, t in tables(data).items()}
+    for ending, text in {**texts, **kind.extra(data)}.items():
         path = stem.with_name(f"{stem.name}{'.' if ending == 'csv' else '-'}{ending}")
         write_text(path, text)
         written.append(path)
@@ -225,10 +219,12 @@ def save_drawn(drawn: Drawn, stem: Path, formats: Sequence[str], source: str = "
     with style.context(SHEET):
         clear_legends(figure)
     arrange(figure)
+    wide = figure.get_figwidth()
+    dpi = (np.ceil(_DPI * wide) + 0.01) / wide  # whole pixels that make the width exactly
     written = []
     for ending in formats:
         path = stem.with_name(f"{stem.name}.{ending}")
         with atomic_path(path) as beside, style.context(SHEET):
-            figure.savefig(beside, format=ending, metadata=dict(_REPRODUCIBLE[ending]))
+            figure.savefig(beside, format=ending, dpi=dpi, metadata=dict(_REPRODUCIBLE[ending]))
         written.append(path)
     return written

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+import xarray as xr
 
 from .. import __version__
 from ..accuracy.estimates import accuracy_verdict
@@ -28,21 +29,21 @@ from ..typing import FloatArray
 from . import facts
 from .answer import (
     answer_of,
+    beside_thesis,
     headline,
     interval_words,
-    is_thesis_device,
     method_answers,
     next_steps,
     subject_of,
     trust_of,
 )
 from .data import Results
-from .film import render_still
+from .film import plot_wavefield, wavefield
 from .judge import Strengths, plot_strength_map, strengths
 from .motion import View
-from .page import Block, Page, Picture, Section, embedded, photograph
+from .page import Block, Page, Picture, Section, embedded
 from .registry import applies, kinds
-from .targets import TargetWaves, plot_trace, target_waves
+from .targets import plot_trace, target_waves
 
 # Report of a scene that renders nothing: how waves travel and decay from one contact, and the twin beside it.
 
@@ -148,7 +149,7 @@ def run_page(results: Results, progress: Progress | None = None) -> Page:
     stills = drawn.of([lambda: _still(results, data)] if results.has_field else [])
     figures = {n: drawn.of([lambda n=n: _figure(results, n)])  # type: ignore[misc]
                for n in ("transfer", "errors", "mesh") if not applies(kinds(results)[n], results)}  # fmt: skip
-    thesis = facts.strength_block(results) if is_thesis_device(results.scenario) else None
+    thesis = facts.strength_block(results) if beside_thesis(results) else None
     sections = [
         Section("map", "S on the skin", pictures=maps, paragraphs=[_map_words(data)]),
         Section("methods", "By method", methods_block(data)),
@@ -223,7 +224,7 @@ def _map(data: Strengths, method: str) -> Picture:
     notes = [interval_words(data, m, t) for t in range(len(data.targets))]
     answer = next(a for a in method_answers(data) if a.method == method)
     title = f"{method}: S > 1 at {len(answer.focused)} of {answer.points}"
-    return embedded(plot_strength_map(data, method, notes), title)
+    return embedded(plot_strength_map(data.to_xarray(), method, notes), title)
 
 
 def _said(data: Strengths, method: str) -> str:
@@ -232,7 +233,7 @@ def _said(data: Strengths, method: str) -> str:
     return f"S = {strength_text(data.values[m, t])} {interval_words(data, m, t)}".rstrip()
 
 
-def _trace(waves: TargetWaves, data: Strengths, method: str) -> Picture:
+def _trace(waves: xr.Dataset, data: Strengths, method: str) -> Picture:
     title = f"{method}: {_said(data, method)}"
     return embedded(plot_trace(waves, method, title), "")
 
@@ -245,5 +246,5 @@ def _figure(results: Results, name: str) -> Picture:
 def _still(results: Results, data: Strengths) -> Picture:
     best = method_answers(data)[0].method
     view = View(best, shown_target(data))
-    title = f"The skin at the moment of focus: {best}, {_said(data, best)}; colours cover the range of the grid points"
-    return photograph(render_still(results, view=view), title)
+    drawn = plot_wavefield(wavefield(results, view=view))
+    return embedded(drawn, f"The skin at the moment of focus: {best}, {_said(data, best)}")

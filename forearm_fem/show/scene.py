@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 from vtkmodules.vtkCommonCore import vtkLogger  # of `import vtk`, which takes seconds to load everything
+from vtkmodules.vtkRenderingCore import vtkCoordinate
 
 from ..errors import ForearmError
 from ..geometry.mesh.tissue_mesh import TissueMesh
@@ -20,6 +21,7 @@ from ..typing import FloatArray, IntArray
 from .style import INK, TISSUES
 
 MM = 1e3
+NAMED = 25  # points that have room for their names
 _TETRA = 10  # VTK's number of the cell
 _ACTUATOR_HEIGHT, _ACTUATOR_RADIUS = 9.85e-3, 7e-3  # TEAX14C02-8, physics_data.md 4
 _CONE_HEIGHT = 6e-3  # for the drawing only
@@ -81,16 +83,18 @@ def _tapered(low: float, high: float, height: float, foot: FloatArray, axis: Flo
     return body.rotate_vector(about, angle, point=(0, 0, 0)).translate(foot)
 
 
-def add_device(plotter: Any, ports: Sequence[Port], *, opacity: float) -> None:
+def add_device(plotter: Any, ports: Sequence[Port], *, opacity: float, named: bool = True) -> None:
     """Cones and coils, seen through."""
     cones = cones_of([p for p in ports if p.kind == "contact"])
     for body in cones.bodies:
         plotter.add_mesh(body, color="#6F7C8C", opacity=opacity, smooth_shading=True, split_sharp_edges=True)
-    if len(cones.names):
+    if len(cones.names) and named:
         add_labels(plotter, cones.tops + np.array([0, 0, 1.5]), cones.names, size=22)
 
 
-def add_grid(plotter: Any, ports: Sequence[Port], target: str | None = None, *, lift: float = 0.4) -> None:
+def add_grid(
+    plotter: Any, ports: Sequence[Port], target: str | None = None, *, lift: float = 0.4, named: bool = True
+) -> None:
     """Grid points as dots with numbers, the target larger and in another colour."""
     points = [p for p in ports if p.kind == "point"]
     at = np.array([MM * np.array(p.position) + lift * np.array(p.axis) for p in points]).reshape(-1, 3)
@@ -98,7 +102,7 @@ def add_grid(plotter: Any, ports: Sequence[Port], target: str | None = None, *, 
         chosen = port.name == target
         ball = pv.Sphere(radius=1.1 if chosen else 0.6, center=place)
         plotter.add_mesh(ball, color="#E69F00" if chosen else INK, lighting=not chosen)
-    if len(points) and len(points) <= 25:
+    if named and 0 < len(points) <= NAMED:
         add_labels(plotter, at + np.array([0, 0, 1.2]), [p.name for p in points], size=17)
 
 
@@ -121,11 +125,23 @@ def add_bones(plotter: Any, mesh: TissueMesh) -> None:
         plotter.add_mesh(grid.extract_surface(algorithm="dataset_surface"), color=TISSUES["bone"])
 
 
-def add_scale_bar(plotter: Any, at: FloatArray) -> None:
+def on_picture(plotter: Any, places: FloatArray) -> FloatArray:
+    """Pixels (n, 2), from the upper left, at which ``places`` (n, 3) [mm] are seen."""
+    found, seen = [], vtkCoordinate()
+    seen.SetCoordinateSystemToWorld()
+    for place in places:
+        seen.SetValue(*(float(x) for x in place))
+        across, up = seen.GetComputedDisplayValue(plotter.renderer)
+        found.append((across, plotter.window_size[1] - 1 - up))
+    return np.array(found, dtype=float).reshape(-1, 2)
+
+
+def add_scale_bar(plotter: Any, at: FloatArray, *, named: bool = True) -> None:
     """A bar of 10 mm along x that starts at ``at`` [mm], with its length beside it."""
     end = at + np.array([10.0, 0, 0])
     plotter.add_mesh(pv.Tube(pointa=at, pointb=end, radius=0.35), color=INK, lighting=False)
-    add_labels(plotter, np.array([(at + end) / 2 - np.array([0, 2.2, 0])]), ["10 mm"], size=15)
+    if named:
+        add_labels(plotter, np.array([(at + end) / 2 - np.array([0, 2.2, 0])]), ["10 mm"], size=15)
 
 
 def has_display() -> bool:
@@ -159,3 +175,13 @@ def plotter_for(size: tuple[int, int], *, off_screen: bool = True) -> Iterator[A
             yield plotter
     finally:
         vtkLogger.SetStderrVerbosity(before)
+
+
+def trimmed(picture: Any, margin: int = 8) -> tuple[Any, FloatArray]:
+    """``picture`` without its white border, and where (column, row) its corner was."""
+    ink = np.any(np.asarray(picture) < 250, axis=2)
+    if not ink.any():
+        return picture, np.zeros(2)
+    rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
+    top, left = max(rows[0] - margin, 0), max(columns[0] - margin, 0)
+    return picture[top : rows[-1] + margin, left : columns[-1] + margin], np.array([left, top], dtype=float)

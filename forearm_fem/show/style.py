@@ -15,51 +15,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure, FigureBase, SubFigure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from ..errors import DataError, NotApplicable
-from ..layered import Layer, rayleigh_wavenumber
-from ..layered.kernel import shear_modulus
-from ..typing import ComplexArray, FloatArray
-
-# The complex wavenumber of the surface wave: where the layered kernel is infinite.
-
-Kernel = Callable[[ComplexArray, FloatArray], ComplexArray]
-_FINEST = 4.0  # most percent by which omega grows between steps of the continuation
-
-
-def trace_root(kernel: Kernel, layers: Sequence[Layer], omega: FloatArray) -> ComplexArray:
-    """k (n,) [1/m], Im k < 0, with 1 / kernel(k, omega) = 0, followed from low frequencies.
-
-    At the lowest frequency the wave is long against the layers, so that the Rayleigh root of the half-space
-    below them is near; from there on each root starts the search of the next. NaN where the search fails or
-    jumps. Other roots of a layered medium are not covered.
-    """
-    low, high = 0.1 * float(omega[0]), float(omega[-1])
-    steps = np.geomspace(low, high, int(np.log(high / low) / np.log1p(_FINEST / 100)) + 2)
-    path = np.unique(np.concatenate([steps[steps < high], omega]))
-    base = layers[-1]
-    k = complex(rayleigh_wavenumber(path[:1], shear_modulus(path[:1], base), base.density)[0])
-    out = np.full(len(path), np.nan + 0j)
-    for i, w in enumerate(path):
-        guess = k * (w / path[i - 1] if i else 1.0)
-        found = _newton(kernel, guess, float(w))
-        if not np.isfinite(found) or abs(found - guess) > 0.3 * abs(guess):
-            break
-        out[i], k = found, found
-    return np.asarray(out[np.searchsorted(path, omega)])
-
-
-def _newton(kernel: Kernel, k: complex, omega: float) -> complex:
-    """Newton's method on 1 / kernel with a central difference."""
-    w = np.array([omega])
-    for _ in range(40):
-        h = 1e-5 * abs(k)
-        low, here, high = (1 / complex(kernel(np.array([k + d]), w)[0]) for d in (-h, 0, h))
-        step = here * 2 * h / (high - low)
-        k -= step
-        if abs(step) < 1e-9 * abs(k):
-            return k
-    return complex(np.nan)
-
+from ..errors import DataError
 
 # The look of every figure: style sheet, colours, canvases and the line that says where it came from.
 
@@ -70,6 +26,7 @@ Drawn = Axes | FigureBase
 SHEET = Path(__file__).with_name("forearm.mplstyle")
 INK, GREY, FAINT = "#222222", "#777777", "#B8B8B8"
 ACTUATORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
+LINES: tuple[Any, ...] = ("-", (0, (4, 2)), (2, (2, 2)), (0, (1, 1.5)))  # equal lines stay visible
 METHODS = {"inverse filter": "#0072B2", "funneling": "#D55E00", "combination": "#009E73"}
 TISSUES = {"skin": "#E8B4A0", "fat": "#F2DE9B", "muscle": "#A84B4B", "bone": "#DAD7CB"}
 SIGNED, SIZE = "RdBu_r", "cividis"
@@ -151,31 +108,20 @@ def widen(ax: Axes, least: float = 0.35) -> None:
 
 
 WIDTHS = (88, 181)  # mm: one column of a journal, and its page
-_ONE_COLUMN = 5.0  # inch: figures that are drawn wider have panels that one column cannot hold
+COLUMN, PAGE = WIDTHS
 
 
-def fits(figure: Figure, width: int) -> bool:
-    """Whether ``figure``, as it is drawn, has panels that ``width`` [mm] can hold."""
-    return width >= WIDTHS[-1] or figure.get_figwidth() <= _ONE_COLUMN
-
-
-def fit_width(figure: Figure, width: int) -> None:
-    """Make ``figure`` ``width`` [mm] wide, letters as large as before; heights follow, less where it is widened.
-
-    Call it before anything is arranged. NotApplicable where one column cannot hold its panels.
-    """
-    wide, high = figure.get_size_inches()
-    if not fits(figure, width):
-        raise NotApplicable(f"its panels need {WIDTHS[-1]} mm; {width} mm would make them unreadable")
-    factor = width / 25.4 / wide
-    figure.set_size_inches(width / 25.4, high * min(factor, np.sqrt(factor)))
+def sheet(width: int, height: float) -> Figure:
+    """A new figure of exactly ``width`` by ``height`` [mm] that belongs to no window."""
+    return Figure(figsize=(width / 25.4, height / 25.4), layout="constrained")
 
 
 def clear_legends(figure: Figure) -> None:
     """Give each legend room above the curves: axes grow upwards until no point of a curve lies behind it."""
     boxed = [ax for ax in figure.findobj(Axes) if ax.get_legend() is not None]
-    for _ in range(8 if boxed else 0):
+    if boxed:
         figure.draw_without_rendering()
+    for _ in range(8 if boxed else 0):  # a legend keeps its place while the limits change
         hidden = [ax for ax in boxed if _behind(ax)]
         if not hidden:
             return

@@ -2,94 +2,73 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from matplotlib.figure import FigureBase
+from matplotlib.figure import Figure
+from matplotlib.tri import Triangulation
 from scipy.interpolate import griddata
 
 from ..errors import DataError, NotApplicable
-from ..ports import Port, positions
+from ..ports import positions
 from ..rendering import to_spectrum
 from ..results.files import Signals
 from ..results.wavefield import Wavefield
 from ..typing import ComplexArray, FloatArray
-from .data import Results, record_of
+from .data import Results, places, record_of
 from .device import busy
-from .page import Table, stacked_rows
-from .patch import VolarPatch, volar_patch
-from .style import FAINT, GREY, INK, MICRO, SIGNED, figure_of, method_colour, panels, single, styled
+from .patch import volar_patch
+from .style import COLUMN, FAINT, GREY, INK, MICRO, PAGE, SIGNED, method_colour, sheet, single, styled
 
 _INSTANTS = 6
 _FLAT = 1e-3  # of the grid's size: points that are no further off a line span no surface
-_TIME = "time [ms]"
 _MISSED = 1e-6  # of the drives' energy: rounding leaves 1e-14 beside the bins of the field
 _BAR = 10.0  # mm: the scale below a map
-_AROUND = 0.04  # s to either side of the focus: what a trace of a report shows
+_AROUND = 0.04  # s to either side of the focus: what a trace shows
 _MESH = 41  # points per side of the interpolated map
 
 
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """One method at one target.
+def target_waves(results: Results, target: str) -> xr.Dataset:
+    """Everything that figure 6 shows, for ``target``.
 
-    ``values`` (n_out, n_t) [m] at ``time`` (n_t,) [s]; ``instants`` (6,) [s]; ``between`` (6, ny, nx) [m] interpolated
-    between the grid points; ``field`` (6, n_vertex) [m] the skin's own normal motion, None without a wavefield.
+    ``u`` (method, output, time) [m]; ``when`` (method, instant) [s]; ``between`` (method, instant, y, x) interpolated
+    between the grid points; with a wavefield ``field`` (method, instant, vertex), the skin's own outward motion.
     """
-
-    method: str
-    time: FloatArray
-    values: FloatArray
-    instants: FloatArray
-    between: FloatArray
-    field: FloatArray | None
-
-
-@dataclass(frozen=True, eq=False)
-class TargetWaves:
-    """A target under every method; ``x`` (nx,) and ``y`` (ny,) [m] span the interpolated maps."""
-
-    target: str
-    outputs: tuple[Port, ...]
-    inputs: tuple[Port, ...]
-    shown: tuple[Shown, ...]
-    x: FloatArray
-    y: FloatArray
-    patch: VolarPatch | None
-
-    @property
-    def row(self) -> int:
-        """Index of the target among the outputs."""
-        return [p.name for p in self.outputs].index(self.target)
-
-
-def target_waves(results: Results, target: str) -> TargetWaves:
-    """Everything that figure 6 shows, for ``target``."""
     moved, g = results.displacements, results.transfer
     if target not in moved.targets:
         raise DataError(f"{results.folder}: nothing was rendered at target '{target}', only at "
                         f"{', '.join(moved.targets)}; `forearm-fem render` can")  # fmt: skip
-    patch = volar_patch(results.field_mesh, (*g.inputs, *g.outputs)) if _has_waves(results, target) else None
-    places = positions(g.outputs)[:, :2]
-    span = np.ptp(places, axis=0)  # a line of points, or one, is given a width to be seen by
+    at = positions(g.outputs)[:, :2]
+    span = np.ptp(at, axis=0)  # a line of points, or one, is given a width to be seen by
     aside = np.where(span > 0, 0.0, max(float(span.max()), 0.01) / 20)
-    x, y = (np.linspace(p.min() - a, p.max() + a, _MESH) for p, a in zip(places.T, aside, strict=True))
-    shown = []
-    for method in moved.methods:
-        values = _one(moved, method, target)
-        instants = moments(moved.time, values, moved.channels.index(target))
-        samples = np.searchsorted(moved.time, instants - 1e-9)
-        between, field = _between(places, values[:, samples].T, x, y), None
-        if patch is not None:
-            spectrum = drive_series(results.drives, method, target, results.wavefield)
-            field = patch.normal_field(results.wavefield).in_time(spectrum, instants)
-        keep = busy(values, moved.time)
-        shown.append(Shown(method, moved.time[keep], values[:, keep], instants, between, field))
-    return TargetWaves(target, g.outputs, g.inputs, tuple(shown), x, y, patch)
+    x, y = (np.linspace(p.min() - a, p.max() + a, _MESH) for p, a in zip(at.T, aside, strict=True))
+    values = np.array([_one(moved, m, target) for m in moved.methods])
+    when = np.array([moments(moved.time, v, moved.channels.index(target)) for v in values])
+    samples = np.searchsorted(moved.time, when - 1e-9)
+    between = [_between(at, v[:, s].T, x, y) for v, s in zip(values, samples, strict=True)]
+    spans = [busy(v, moved.time) for v in values]
+    keep = slice(min(s.start for s in spans), max(s.stop for s in spans))
+    metres, maps = {"units": "m"}, ("method", "instant", "y", "x")
+    data = xr.Dataset(
+        {"u": (("method", "output", "time"), values[:, :, keep], metres),
+         "between": (maps, np.array(between), {"table": "no"}), "when": (("method", "instant"), when, {"units": "s"})},
+        {"method": list(moved.methods), "time": ("time", moved.time[keep], {"units": "s"}), "x": x, "y": y,
+         "instant": np.arange(_INSTANTS), **places(g.outputs, g.inputs)},
+        {"target": target},
+    )  # fmt: skip
+    if not _has_waves(results, target):
+        return data
+    patch = volar_patch(results.field_mesh, (*g.inputs, *g.outputs))
+    normal = patch.normal_field(results.wavefield)
+    series = [drive_series(results.drives, m, target, results.wavefield) for m in moved.methods]
+    field = [normal.in_time(s, t) for s, t in zip(series, when, strict=True)]
+    data = data.assign({f"vertex_{c}": ("vertex", patch.points[:, k], metres) for k, c in enumerate("xyz")})
+    data["field"] = (("method", "instant", "vertex"), np.array(field), metres)
+    return data.assign_coords(triangles=(("triangle", "corner"), patch.triangles))
 
 
 def _one(signals: Signals, method: str, target: str) -> FloatArray:
@@ -161,63 +140,54 @@ def drive_series(drives: Signals, method: str, target: str, field: Wavefield, *,
     return np.asarray(spectrum[:, index] * record.df)
 
 
-def target_table(data: TargetWaves) -> Table:
-    """Displacement of each grid point over time, method by method."""
-    names = [f"u_{p.name}_m" for p in data.outputs]
-    parts = {s.method: {"time_s": s.time, **dict(zip(names, s.values, strict=True))} for s in data.shown}
-    return stacked_rows("method", parts)
-
-
-def target_extra(data: TargetWaves) -> dict[str, str]:
-    """The skin's own motion at the instants, vertex by vertex."""
-    if data.patch is None:
-        return {}
-    at = data.patch.points
-    columns: dict[str, Any] = {"x_m": at[:, 0], "y_m": at[:, 1], "z_m": at[:, 2]}
-    for s in data.shown:
-        for t, field in zip(s.instants, s.field if s.field is not None else (), strict=True):
-            columns[f"u_{s.method}_at_{1e3 * t:.1f}ms_m"] = field
-    return {"field.csv": Table(columns).as_csv()}
-
-
 @styled
-def plot_target(data: TargetWaves, *, ax: Axes | None = None) -> FigureBase:
-    """Per method: maps at six instants (interpolated, and the field itself), and the grid points over time."""
-    rows = 2 if data.patch is not None else 1
-    figure = panels(ax, (10.2, 0.3 + len(data.shown) * (1.08 * rows + 0.4)))
-    bands = figure.subfigures(len(data.shown), 1, squeeze=False)[:, 0]
-    first = _most(data.shown[0])
-    for band, shown in zip(bands, data.shown, strict=True):
-        factor = _most(shown) / first if first > 0 else 1.0
-        _band(band, data, shown, rows, "" if abs(factor - 1) < 0.005 else f"\nscale × {factor:.2g}")
-    _same_time([a for a in figure_of(figure).axes if a.get_xlabel() == _TIME])
+def plot_target(data: xr.Dataset, *, width: int = PAGE) -> Figure:
+    """Per method: maps at six instants (interpolated, and the field itself), and the grid points over time.
+
+    A page has the time series beside the maps, a journal's column below them. Each method has a scale of its own, whose
+    factor stands at its bar.
+    """
+    rows, wide = 2 if "field" in data else 1, width > COLUMN
+    tall = 8 + (19 if wide else 12.5) * rows if wide else 8 + 13.5 * rows + 26
+    figure = sheet(width, 5 + tall * data.sizes["method"])
+    bands = figure.subfigures(data.sizes["method"], 1, squeeze=False)[:, 0]
+    most = MICRO * np.nanmax(np.abs(data.between.values), axis=(1, 2, 3), initial=0.0)
+    for m, band in enumerate(bands):
+        factor = most[m] / most[0] if most[0] > 0 else 1.0
+        said = "" if abs(factor - 1) < 0.005 else f" × {factor:.2g}"
+        shape: dict[str, Any] = {"width_ratios": (2.6, 1)} if wide else {"height_ratios": (8 + 13.5 * rows, 26)}
+        maps, traces = band.subfigures(*((1, 2) if wide else (2, 1)), squeeze=False, **shape).ravel()
+        _maps(maps, data, m, float(most[m]), said, rows, wide)
+        _traces(traces.subplots(), data, m, titled=wide)
+        if not wide:
+            maps.suptitle(data.method.values[m], color=_colour(data, m), fontweight="bold", fontsize=8)
     return figure
 
 
-def _most(shown: Shown) -> float:
-    return float(np.nanmax(np.abs(shown.between), initial=0.0))
+def _colour(data: xr.Dataset, m: int) -> str:
+    return method_colour(str(data.method.values[m]), list(data.method.values))
 
 
-def _band(figure: FigureBase, data: TargetWaves, shown: Shown, rows: int, factor: str) -> None:
-    maps, right = figure.subfigures(1, 2, width_ratios=(2.6, 1), squeeze=False)[0]
-    grid = maps.subplots(rows, _INSTANTS, squeeze=False)
-    most = MICRO * _most(shown)
+def _maps(figure: Any, data: xr.Dataset, m: int, most: float, factor: str, rows: int, wide: bool) -> None:
+    grid = figure.subplots(rows, _INSTANTS, squeeze=False)
     scale = Normalize(-most or -1.0, most or 1.0)
-    places, coils = 1e3 * positions(data.outputs), 1e3 * positions(data.inputs)
-    middle = places[:, :2].mean(axis=0)
-    reach = 1.3 * np.abs(np.concatenate([places, coils])[:, :2] - middle).max()
-    for k, t in enumerate(shown.instants):
-        when = "0 ms" if abs(t) < 5e-5 else f"{1e3 * t:+.1f} ms"
-        grid[0, k].set_title(when.replace("-", "\N{MINUS SIGN}"))
-        grid[0, k].pcolormesh(1e3 * data.x, 1e3 * data.y, MICRO * shown.between[k], cmap=SIGNED, norm=scale,
+    points, coils = (1e3 * data[f"{side}_place"].values[:, :2] for side in ("output", "input"))
+    middle = points.mean(axis=0)
+    reach = 1.3 * np.abs(np.concatenate([points, coils]) - middle).max()
+    for k, t in enumerate(data.when.values[m]):
+        when = "0" if abs(t) < 5e-5 else f"{1e3 * t:+.1f}"
+        when += " ms" if wide or k == 0 else ""  # a column has no room for more
+        grid[0, k].set_title(when.replace("-", "\N{MINUS SIGN}"), fontsize=7 if wide else 6)
+        grid[0, k].pcolormesh(1e3 * data.x, 1e3 * data.y, MICRO * data.between[m, k], cmap=SIGNED, norm=scale,
                               shading="gouraud", rasterized=True)  # fmt: skip
-        if shown.field is not None and data.patch is not None:
-            grid[1, k].tripcolor(data.patch.triangulation, MICRO * shown.field[k], cmap=SIGNED, norm=scale,
-                                 shading="gouraud", rasterized=True)  # fmt: skip
+        if "field" in data:
+            seen = Triangulation(1e3 * data.vertex_x, 1e3 * data.vertex_y, data.triangles)
+            grid[1, k].tripcolor(seen, MICRO * data.field.values[m, k], cmap=SIGNED, norm=scale, shading="gouraud",
+                                 rasterized=True)  # fmt: skip
         for panel in grid[:, k]:
-            panel.plot(places[:, 0], places[:, 1], ".", color=INK, ms=1.5)
-            panel.plot(*places[data.row, :2], "o", mfc="none", mec=INK, ms=7, mew=0.9)
-            panel.plot(coils[:, 0], coils[:, 1], "s", mfc="none", mec=GREY, ms=5, mew=0.6)
+            panel.plot(*points.T, ".", color=INK, ms=1.5)
+            panel.plot(*points[_row(data)], "o", mfc="none", mec=INK, ms=7 if wide else 4, mew=0.9)
+            panel.plot(*coils.T, "s", mfc="none", mec=GREY, ms=5 if wide else 3, mew=0.6)
             panel.set(aspect="equal", xticks=(), yticks=(), xlim=(middle[0] - reach, middle[0] + reach),
                       ylim=(middle[1] - reach, middle[1] + reach))  # fmt: skip
             panel.grid(False)
@@ -228,57 +198,48 @@ def _band(figure: FigureBase, data: TargetWaves, shown: Shown, rows: int, factor
                      scalex=False, scaley=False)  # fmt: skip
     grid[-1, 0].annotate(f"{_BAR:g} mm", (left + _BAR, below), (3, 0), textcoords="offset points", va="center",
                          fontsize=6, annotation_clip=False)  # fmt: skip
-    for panel, text in zip(grid[:, 0], ("interpolated", "field itself"), strict=False):
-        panel.set_ylabel(text)
-    bar = maps.colorbar(ScalarMappable(scale, SIGNED), ax=list(grid.ravel()), fraction=0.02, pad=0.01, extend="both",
-                        shrink=0.9)  # fmt: skip
-    bar.set_label(f"u [µm]{factor}", fontsize=7)  # the arrows say that the skin between may move more
-    _traces(right.subplots(), data, shown)
+    for panel, text in zip(grid[:, 0], ("interpolated", "field itself") if wide else ("points", "skin"), strict=False):
+        panel.set_ylabel(text, fontsize=7)
+    bar = figure.colorbar(ScalarMappable(scale, SIGNED), ax=list(grid.ravel()), fraction=0.02, pad=0.01, extend="both",
+                          shrink=0.9)  # fmt: skip
+    bar.set_label(f"u [µm]{chr(10) if factor else ''}{'scale' if factor else ''}{factor}", fontsize=7)
 
 
-def _curves(ax: Axes, data: TargetWaves, shown: Shown) -> None:
-    for k, trace in enumerate(shown.values):
-        if k != data.row:
-            ax.plot(1e3 * shown.time, MICRO * trace, color=GREY, lw=0.7, ls=":")
+def _row(data: xr.Dataset) -> int:
+    """Index of the target among the outputs."""
+    return list(data.output.values).index(data.target)
+
+
+def _curves(ax: Axes, data: xr.Dataset, m: int) -> None:
+    time, u, row = 1e3 * data.time, MICRO * data.u.values[m], _row(data)
+    for k, trace in enumerate(u):
+        if k != row:
+            ax.plot(time, trace, color=GREY, lw=0.7, ls=":")
     ax.plot([], [], color=GREY, lw=0.7, ls=":", label="the others")
-    ax.plot(1e3 * shown.time, MICRO * shown.values[data.row], color=INK, label=f"target {data.target}")
-    ax.set(xlabel=_TIME, ylabel="u [µm]", xlim=(1e3 * shown.time[0], 1e3 * shown.time[-1]))
+    ax.plot(time, u[row], color=INK, label=f"target {data.target}")
+    ax.set(xlabel="time [ms]", ylabel="u [µm]", xlim=_shown(data))
 
 
-def _traces(ax: Axes, data: TargetWaves, shown: Shown) -> None:
-    _curves(ax, data, shown)
-    for t in shown.instants:
+def _shown(data: xr.Dataset) -> tuple[float, float]:
+    """What traces show [ms]: 40 ms to either side of the focus, and all instants of the maps."""
+    low, high = min(-_AROUND, float(data.when.min())), max(_AROUND, float(data.when.max()))
+    return 1e3 * max(low, float(data.time[0])), 1e3 * min(high, float(data.time[-1]))
+
+
+def _traces(ax: Axes, data: xr.Dataset, m: int, *, titled: bool) -> None:
+    _curves(ax, data, m)
+    for t in data.when.values[m]:
         ax.axvline(1e3 * t, color=FAINT, lw=0.5, zorder=0)
-    colour = method_colour(shown.method, [s.method for s in data.shown])
-    ax.set_title(shown.method, color=colour, fontweight="bold", fontsize=9)
-    ax.legend(loc="upper right", fontsize=6)
+    if titled:
+        ax.set_title(data.method.values[m], color=_colour(data, m), fontweight="bold", fontsize=9)
+    ax.legend(loc="upper right", fontsize=6, ncols=1 if titled else 2)
 
 
 @styled
-def plot_trace(data: TargetWaves, method: str, title: str, *, ax: Axes | None = None) -> Axes:
+def plot_trace(data: xr.Dataset, method: str, title: str, *, ax: Axes | None = None) -> Axes:
     """The grid points over time under one ``method``: the target solid, the others dotted."""
     axes = single(ax, (2.9, 2.2))
-    shown = next(s for s in data.shown if s.method == method)
-    _curves(axes, data, shown)
-    times = np.array([(s.time[0], s.time[-1]) for s in data.shown])
-    axes.set_xlim(*(1e3 * np.clip((times[:, 0].min(), times[:, 1].max()), -_AROUND, _AROUND)))
-    axes.set_title(title, color=method_colour(method, [s.method for s in data.shown]), fontweight="bold")
+    m = list(data.method.values).index(method)
+    _curves(axes, data, m)
+    axes.set_title(title, color=_colour(data, m), fontweight="bold")
     return axes
-
-
-@styled
-def plot_traces(data: TargetWaves, *, ax: Axes | None = None) -> FigureBase:
-    """Only the grid points over time, one panel per method: the lower half of figures 6 and 7."""
-    figure = panels(ax, (2.6 * len(data.shown), 2.4))
-    axes = np.atleast_1d(figure.subplots(1, len(data.shown)))
-    for panel, shown in zip(axes, data.shown, strict=True):
-        _traces(panel, data, shown)
-    _same_time(list(axes))
-    return figure
-
-
-def _same_time(axes: list[Axes]) -> None:
-    """One time base for every method."""
-    limits = np.array([a.get_xlim() for a in axes])
-    for a in axes:
-        a.set_xlim(limits[:, 0].min(), limits[:, 1].max())
