@@ -19,9 +19,8 @@ from forearm_fem.cli.common import transfer_file
 from forearm_fem.files.read import read
 from forearm_fem.show.data import Results
 from forearm_fem.study.handover import at_rate, export
-from forearm_fem.study.levels import apart
 from forearm_fem.study.run import Made, Prepared
-from forearm_fem.study.stimuli import stimuli_for
+from forearm_fem.study.stimuli import apart, stimuli_for
 
 
 def main() -> None:

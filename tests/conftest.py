@@ -5,18 +5,19 @@ Kernels are compiled once, by one worker, while the other runs files that need n
 
 import base64
 import gc
+import hashlib
 import os
 import pickle
 import shutil
 import signal
 from collections import Counter
 from collections.abc import Generator, Iterator
-from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+from scenes import once
 
 from forearm_fem.user_cache import default_cache_dir
 
@@ -94,30 +95,36 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 @pytest.fixture(scope="session")
-def integrals() -> dict[bytes, Any]:
-    """What the twin's integrals gave so far in this worker, by their arguments."""
-    return {}
+def integrals(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder in which all workers keep what the layered model's integrals gave, by their arguments."""
+    return once(tmp_path_factory, "integrals", lambda folder: None)
 
 
-@pytest.fixture(scope="module")
-def same_integrals_once(integrals: dict[bytes, Any]) -> Iterator[None]:
-    """For files that solve one layered scene many times, or many that differ elsewhere: integrals of the same arguments
-    are computed once. Not for tests of the integrals, of progress or of interruption.
+@pytest.fixture(scope="module", autouse=True)
+def same_integrals_once(request: pytest.FixtureRequest, integrals: Path) -> Iterator[None]:
+    """Scenes on the layered model: integrals of the same arguments are computed once a session.
+
+    Not where a file counts them, or interrupts them: ``pytestmark = pytest.mark.integrated``.
     """
+    if request.node.get_closest_marker("integrated"):
+        yield
+        return
     from forearm_fem.engines import layered as layered_engine
     from forearm_fem.questions.predict import arm
 
     computed = layered_engine.layered_compliance
 
-    def once(*arguments: Any, progress: object = None, **options: Any) -> Any:
-        asked = pickle.dumps((arguments, options))
-        if asked not in integrals:
-            integrals[asked] = computed(*arguments, **options)
-        return deepcopy(integrals[asked])
+    def kept(*arguments: Any, progress: object = None, **options: Any) -> Any:
+        file = integrals / hashlib.sha256(pickle.dumps((arguments, options))).hexdigest()
+        if not file.exists():
+            part = file.with_name(f"{file.name}.{os.getpid()}")
+            part.write_bytes(pickle.dumps(computed(*arguments, **options)))
+            part.replace(file)
+        return pickle.loads(file.read_bytes())
 
     with pytest.MonkeyPatch.context() as patch:
         for module in (layered_engine, arm):
-            patch.setattr(module, "layered_compliance", once)
+            patch.setattr(module, "layered_compliance", kept)
         yield
 
 

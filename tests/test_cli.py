@@ -16,8 +16,6 @@ from cli_runner import SMALL, cli, leftovers
 from forearm_fem import __version__
 from forearm_fem.results.files import read_displacements, read_drives, read_signal_strength_csv, read_transfer
 
-pytestmark = pytest.mark.usefixtures("same_integrals_once")
-
 
 @pytest.fixture(scope="module")
 def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -13,8 +13,6 @@ from forearm_fem.files import save
 from forearm_fem.results.files import read_transfer
 from forearm_fem.transfer import band_error
 
-pytestmark = pytest.mark.usefixtures("same_integrals_once")
-
 # 4 measurements instead of 36, each of which draws a picture
 TWO_BY_TWO = """
 [grid]

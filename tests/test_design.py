@@ -32,7 +32,6 @@ from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.store.shelf import WORK, Shelf
 from forearm_fem.transfer import Compliance, ErrorEstimate
 
-pytestmark = pytest.mark.usefixtures("same_integrals_once")
 SCENE = """
 engine = "layered"
 [device.cone]

@@ -14,7 +14,7 @@ from forearm_fem.fem.linear.direct import DirectSolver, make_solver
 from forearm_fem.fem.reduction import basis as bases
 from forearm_fem.fem.reduction.basis import Basis, orthonormal_extension, real_columns
 from forearm_fem.fem.reduction.certificate import doubt, probe_frequencies
-from forearm_fem.fem.reduction.expansion import Expander, expansion_frequencies
+from forearm_fem.fem.reduction.expansion import Expander, Snapshots, expansion_frequencies
 from forearm_fem.fem.reduction.poles import compressed, pole_residue
 from forearm_fem.fem.reduction.reduced_model import empty_model, extend, with_last_columns
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
@@ -83,7 +83,7 @@ def test_a_direct_solve_factorises_without_the_products_and_makes_them_again(mod
     monkeypatch.setattr(
         DirectSolver, "at", lambda self, f: (seen.append("matrices" in vars(self.model.operator)), at(self, f))[1]
     )
-    found = Expander(model, OPTIONS, None, 1e-9).direct(120.0)
+    found = Expander(model, OPTIONS, Snapshots(), 1e-9).direct(120.0)
     assert seen == [False]
     assert found.residual < 1e-9
     assert (model.operator.at(600.0).product(np.ones((model.operator.n, 2))) == before).all()

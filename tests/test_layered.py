@@ -22,6 +22,8 @@ from forearm_fem.layered import (
 )
 from forearm_fem.layered.hankel import disc_interaction, disc_potential
 
+pytestmark = pytest.mark.integrated
+
 BULK = 2.2e9
 SOURCE = Disc(0.0, 0.0, 3.5e-3)
 RADII = (0.0, 0.010, 0.020, 0.0318, 0.045)

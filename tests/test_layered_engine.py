@@ -9,6 +9,8 @@ from forearm_fem.errors import ForearmError, GeometryError, ScenarioError
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.transfer import relative_error
 
+pytestmark = pytest.mark.integrated
+
 LAYERS = [{"tissue": "skin", "thickness": 1.2e-3}]
 
 

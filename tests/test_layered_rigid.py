@@ -23,6 +23,8 @@ from forearm_fem.layered.discs import galerkin
 from forearm_fem.layered.hankel import _balls, _bessels
 from forearm_fem.layered.integrals import NODES, Rules
 
+pytestmark = pytest.mark.integrated
+
 BULK, A = 2.2e9, 3.5e-3
 MU = 7860.0
 

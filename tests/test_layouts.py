@@ -21,7 +21,6 @@ from forearm_fem.show.data import Results
 from forearm_fem.show.facts import scene_block
 from forearm_fem.show.registry import applies, kinds
 
-pytestmark = pytest.mark.usefixtures("same_integrals_once")
 PRESSURE = {"cone": {"contact": "pressure"}}
 TWIN: dict[str, Any] = {
     "engine": "layered",

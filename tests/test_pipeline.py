@@ -15,7 +15,7 @@ from forearm_fem.fem.linear.factor import available_backends
 from forearm_fem.fem.reduction import expansion as expand
 from forearm_fem.fem.reduction import rate_space as krylov
 from forearm_fem.fem.reduction import sweep
-from forearm_fem.fem.reduction.expansion import Expansion
+from forearm_fem.fem.reduction.expansion import Expansion, Snapshots
 from forearm_fem.files.mat import read_thesis_mat
 from forearm_fem.geometry.mesh.tissue_mesh import with_finer_skin
 from forearm_fem.questions.run import Run, run_all, run_render, run_solve
@@ -108,7 +108,7 @@ def test_the_solver_that_was_used_is_on_record(finished):
 def test_a_snapshot_that_was_cut_off_is_none(tmp_path, monkeypatch, left):
     """A resumed solve is that of one go to the bit, so what is kept has all its digits."""
     monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))
-    store = _Store("a")
+    store = Snapshots(_Store("a").parts)
     random = np.random.default_rng(0)
     series = tuple(random.normal(size=(20_000, 2)) + 1j for _ in range(2))
     store.put(Expansion(50.0, series, 1e-9, 1e-10))

@@ -46,8 +46,6 @@ from forearm_fem.store.text import read_json
 from forearm_fem.tissue import resolve_tissues
 from forearm_fem.transfer import ErrorEstimate
 
-pytestmark = pytest.mark.usefixtures("same_integrals_once")
-
 # 50 bins, two targets and pressure discs: a draw in 0.1 s of an idle machine
 SMALL = {
     "engine": "layered",

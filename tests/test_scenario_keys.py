@@ -30,7 +30,6 @@ from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.scenario.base import Within
 from forearm_fem.scenario.sweep import frequencies
 
-pytestmark = pytest.mark.usefixtures("same_integrals_once")
 SWEEP = {"f_min": 100.0, "f_max": 140.0, "duration": 0.1, "sample_rate": 2000.0}
 RENDERING = {"targets": ["5"], "wavelet": {"peak": 120.0}}
 LAYERED: dict[str, Any] = {"engine": "layered", "sweep": SWEEP, "rendering": RENDERING}

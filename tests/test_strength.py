@@ -45,7 +45,6 @@ from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show import Results
 from forearm_fem.transfer import ErrorEstimate, band_error, entry_errors, relative_error
 
-pytestmark = pytest.mark.usefixtures("same_integrals_once")
 TARGETS = tuple(str(k) for k in range(1, 10))
 BINS = np.arange(12.0, 500.1, 4.0)  # of a record of 0.25 s
 TWIN = {"name": "twin", "engine": "layered", "sweep": {"duration": 0.5}}

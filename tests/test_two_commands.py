@@ -20,8 +20,6 @@ from forearm_fem.results.files import read_transfer
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.store.folder import locked
 
-pytestmark = pytest.mark.usefixtures("same_integrals_once")
-
 posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 HOLD = """
 import sys, time

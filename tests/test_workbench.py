@@ -38,7 +38,6 @@ from forearm_fem.store.record import save
 from forearm_fem.store.text import write_json
 from forearm_fem.transfer import ErrorEstimate, TransferMatrix
 
-pytestmark = pytest.mark.usefixtures("same_integrals_once")
 HERE = Path(__file__).parent
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="no node; `apt-get install nodejs` brings it")

@@ -28,7 +28,6 @@ from forearm_fem.show import Results
 from forearm_fem.show.workbench import content_of, page_of
 from forearm_fem.show.workbench.content import measured_content
 
-pytestmark = pytest.mark.usefixtures("same_integrals_once")
 METHODS = ("inverse filter", "funneling", "combination")
 
 

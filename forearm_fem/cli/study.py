@@ -85,9 +85,8 @@ def new(
     if g is None:
         typer.echo("levels: equal at target; --transfer G says by how much methods differ as rendered")
         return
-    from ..study.levels import told
     from ..study.run import Prepared
-    from ..study.stimuli import stimuli_for
+    from ..study.stimuli import stimuli_for, told
 
     made = Prepared.of(file)
     with noted():
@@ -123,9 +122,9 @@ def run(
 ) -> None:  # fmt: skip
     """Run a participant's session; the same command goes on where it stopped."""
     from ..measurement.playback import read_loopback
-    from ..study.levels import AUDIBLE, apart, told
     from ..study.run import Prepared, sitting
     from ..study.server import serve, texts
+    from ..study.stimuli import AUDIBLE, apart, told
 
     prepared = Prepared.of(file, data)
     kept = None if cable is None else read_loopback(cable)
@@ -174,8 +173,8 @@ def stimuli(
 ) -> None:  # fmt: skip
     """Write a participant's stimuli as WAV and the trials as CSV, for PsychoPy, jsPsych or another player."""
     from ..study.handover import export
-    from ..study.levels import told
     from ..study.run import Prepared
+    from ..study.stimuli import told
 
     prepared = Prepared.of(file, data)
     with noted():

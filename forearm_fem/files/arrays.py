@@ -106,7 +106,7 @@ class ArrayReader(Reader):
             )
         open_ends = [n for n in NEEDS[:3] if getattr(said, n.key) is None]
         first = declare("variable", f"'{cubes[0]}'")
-        raise DataError(f"{file}: {len(cubes)} arrays have three axes ({described}); it {asked(open_ends, first)}")
+        raise DataError(f"{file}: {len(cubes)} arrays may be G ({described}); it {asked(open_ends, first)}")
 
     def _one(self, file: Path, variables: dict[str, Any], name: str, what: str) -> Any:
         if name not in variables:

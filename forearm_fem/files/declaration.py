@@ -185,6 +185,10 @@ def axes_by_length(raw: RawMatrix, n_out: int, n_in: int) -> tuple[Axis, ...] | 
     shape = raw.values.shape
     n_frequency = max(shape, default=0) if raw.frequency is None else len(raw.frequency)
     wanted: dict[Axis, int] = {"frequency": n_frequency, "output": n_out, "input": n_in}
+    if n_out == n_in == 1 < n_frequency and sorted(shape) == [1, 1, n_frequency]:  # either way round is the same
+        order: list[Axis] = ["output", "input"]
+        order.insert(shape.index(n_frequency), "frequency")
+        return tuple(order)
     found: list[Axis] = [a for length in shape for a in wanted if wanted[a] == length]
     return tuple(found) if len(shape) == len(found) == len(set(found)) == 3 else None
 

@@ -41,7 +41,17 @@ def named_files(
     files: Sequence[Path], said: Declaration, ports: Ports | None, entries: Mapping[str, Sequence[str]] | None = None
 ) -> list[Named]:
     """Point and actuator of each of ``files``: by a table ``entries`` (file -> point, actuator), by ``said.pattern``,
-    else by the parts of their names that are names of ``ports``, with a warning."""
+    else by the parts of their names that are names of ``ports``, with a warning; where there is one alone, it is it."""
+    found = _told_by_names(files, said, ports, entries)
+    if ports is None:
+        return found
+    one = [side[0].name if len(side) == 1 else None for side in ports]
+    return [Named(n.file, n.output or one[0], n.input or one[1]) for n in found]
+
+
+def _told_by_names(
+    files: Sequence[Path], said: Declaration, ports: Ports | None, entries: Mapping[str, Sequence[str]] | None
+) -> list[Named]:
     if entries is not None:
         return [_of_entries(f, entries) for f in files]
     if said.pattern is not None:
@@ -53,7 +63,7 @@ def named_files(
         first = found[0]
         told = " <- ".join(n for n in (first.output, first.input) if n)
         chosen = f"{told} in {first.file.name}, and so on"
-        warnings.warn(RecognitionWarning(str(first.file.parent), "entries of its files", chosen), stacklevel=4)
+        warnings.warn(RecognitionWarning(str(first.file.parent), "entries of its files", chosen), stacklevel=5)
     return found
 
 

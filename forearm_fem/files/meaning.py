@@ -238,7 +238,7 @@ def _one_sided(raw: RawMatrix, frequency: FloatArray, spectrum: Spectrum) -> Raw
             )
         keep = slice(1, (len(frequency) + 1) // 2)
     else:
-        if mirrored < _HERMITIAN and len(frequency) > 8:
+        if raw.spectrum is None and mirrored < _HERMITIAN and len(frequency) > 8:
             said = declare("spectrum", "'two-sided'")
             raise DataError(f"{raw.name}: declared one-sided, but its upper half mirrors the lower one; use {said}")
         keep = slice(int(frequency[0] == 0), None)

@@ -31,6 +31,7 @@ _SIMULTANEOUS = 0.01  # of a sample between the beginnings of two channels of on
 _EXACT, _NOISY = 1e-6, 0.5  # of a drive's size: how far its periods may differ, as sent and as measured
 _EVEN = 1e-3  # of a step: how far printed times may be off an even clock, and the mean of all by far less
 _DIGITS = 1e-3  # relative: what six digits of a spacing near a millisecond leave off
+_LATTICE = 1e-2  # of a step: how far samples of one converter are off its multiples, by rounding
 _SILENT = 1e-9  # of a drive's largest period: less is none
 _SCALES = re.compile(r"(?P<of>[nuµμmk]?)(?P<unit>V|Volts?|volts?|v|N|Newtons?|newtons?)")
 _PREFIXED: Mapping[str, float] = MappingProxyType({"": 1.0, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3,
@@ -144,10 +145,20 @@ def read_sweep(
     loopback = rows[0] if drive_is_measured else None
     rate = round(1 / step, 6)
     return Recording(
-        output, input, rate, rows[0][0], rows[1], loopback, full_scale,
+        output, input, rate, rows[0][0], rows[1], loopback, full_scale, _resolution(rows[1]),
         provenance={"file": str(file), **({"drive": drives} if drives != "V" else {}),
                     **({"response": moves} if moves != "V" else {})},
     )  # fmt: skip
+
+
+def _resolution(samples: FloatArray) -> float:
+    """The step whose multiples all ``samples`` are apart, as a converter or printed digits leave it; 0 for none."""
+    gaps = np.diff(np.unique(samples))
+    if len(gaps) < 2:
+        return 0.0
+    least = float(gaps.min())
+    places = gaps / least
+    return least if float(np.abs(places - np.rint(places)).max()) < _LATTICE else 0.0
 
 
 def _in_si(file: Path, name: str, found: Waveform, *, driven: bool) -> tuple[str, Waveform]:

@@ -18,8 +18,8 @@ from ..show.page import Block, Page, Picture, Section, embedded
 from ..store.folder import atomic_path, write_text
 from .analysis import Tests, analyse, cells, confusion, ellipses, in_order, with_errors
 from .figures import plot_confusion, plot_ellipses, plot_points
-from .levels import AUDIBLE
 from .plan import MEASURES, Analysis, Study, Task
+from .stimuli import AUDIBLE
 from .store import ANALYSIS
 
 _SELECTION = (

@@ -21,11 +21,10 @@ from ..rendering.wavelet import Wavelet
 from ..scenario import Scenario, load_scenario, scenario_beside
 from ..scenario.measurement import DaqOptions
 from ..transfer import TransferMatrix
-from .levels import Key, offsets
 from .plan import Study, Task, load_study, tasks_of, trials
 from .server import texts
 from .session import Session
-from .stimuli import DevicePlayer, Stimulus, provenance, refuse_changed, stimuli_for, transfer_of
+from .stimuli import DevicePlayer, Key, Stimulus, offsets, provenance, refuse_changed, stimuli_for, transfer_of
 from .store import StudyStore
 
 
