@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 
@@ -28,6 +28,7 @@ __all__ = [
     "ErrorEstimate",
     "TransferMatrix",
     "band_error",
+    "between",
     "entry_band_errors",
     "entry_errors",
     "error_of_pairs",
@@ -53,6 +54,8 @@ ErrorSource = Literal[
     "interpolation", "contact",
 ]  # fmt: skip
 
+Values = TypeVar("Values", FloatArray, ComplexArray)
+
 
 @dataclass(frozen=True)
 class ErrorEstimate:
@@ -62,20 +65,23 @@ class ErrorEstimate:
     ||dG||_F / ||G||_F over the band and the matrix; ``method`` says in one sentence how it was found. An estimate
     that was asked for and could not be made has ``band`` NaN, and ``method`` says why and what to do. ``per_pair``
     (n_frequency, n_out, n_in) [-] is |dG_ij| / max_ij |G_ij| at ``frequency``, with e(f) its largest; None where all
-    pairs may err by e(f). Estimates that are equal may differ in it. DataError for frequencies that do not increase,
-    and for another number of errors than of frequencies.
+    pairs may err by e(f). ``together`` (n_frequency, n_out, n_in) [-] is dG_ij / max_ij |G_ij| of all entries at once,
+    up to one complex factor: errors of meshes and ends move entries alike. Estimates that are equal may differ in both.
+    DataError for frequencies that do not increase, and for another number of errors than of frequencies.
     """
 
     source: ErrorSource
     band: float
     method: str
     frequency: tuple[float, ...] = field(default=(), metadata=dims("frequency", units="Hz"))
-    per_frequency: tuple[float, ...] = field(
-        default=(), metadata=dims("frequency", units="1", long_name="e(f)")
-    )
+    per_frequency: tuple[float, ...] = field(default=(), metadata=dims("frequency", units="1", long_name="e(f)"))
     per_pair: FloatArray | None = field(
         default=None, compare=False, repr=False,
         metadata=dims("frequency output input", single=True, units="1", long_name="|dG_ij| over the largest |G_ij|"),
+    )  # fmt: skip
+    together: ComplexArray | None = field(
+        default=None, compare=False, repr=False,
+        metadata=dims("frequency output input", single=True, units="1", long_name="dG_ij over the largest |G_ij|"),
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -213,11 +219,12 @@ class TransferMatrix:
             raise DataError(f"G's unit is one of {', '.join(UNITS.values())}, got {self.unit}; convert the values")
         for e in self.errors:
             wanted = (len(e.frequency), *self.values.shape[1:])
-            if e.per_pair is not None and e.per_pair.shape != wanted:
-                raise DataError(
-                    f"the error by {e.source} is of pairs {e.per_pair.shape}, G's are {wanted}; take the same pairs of "
-                    "its per_pair, or None"
-                )
+            for part in (e.per_pair, e.together):
+                if part is not None and part.shape != wanted:
+                    raise DataError(
+                        f"the error by {e.source} is of pairs {part.shape}, G's are {wanted}; take the same pairs of "
+                        "its per_pair and together, or None"
+                    )
 
     def __repr__(self) -> str:
         return notebook.line_of_g(self)
@@ -320,11 +327,16 @@ def error_of_pairs(estimate: ErrorEstimate, frequency: FloatArray) -> FloatArray
         return None
     if not np.isfinite(estimate.band):
         return np.full((len(frequency), *estimate.per_pair.shape[1:]), np.nan)
+    return between(estimate, estimate.per_pair, frequency)
+
+
+def between(estimate: ErrorEstimate, values: Values, frequency: FloatArray) -> Values:
+    """``values`` (n_own, n_out, n_in) of the estimate's own frequencies at ``frequency`` (n,), linear between them."""
     rows = np.interp(frequency, estimate.frequency, np.arange(len(estimate.frequency)))
     below = np.minimum(rows.astype(int), max(len(estimate.frequency) - 2, 0))
     above = np.minimum(below + 1, len(estimate.frequency) - 1)
     share = (rows - below)[:, None, None]
-    return np.asarray((1 - share) * estimate.per_pair[below] + share * estimate.per_pair[above])
+    return np.asarray((1 - share) * values[below] + share * values[above])
 
 
 def entry_errors(transfer: TransferMatrix) -> FloatArray:

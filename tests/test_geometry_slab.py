@@ -14,6 +14,7 @@ from forearm_fem.geometry.device.sizing import SECOND, element_sizes
 from forearm_fem.geometry.mesh.quality import check_mesh, mean_ratio, mesh_quality, nodes_per_wavelength
 from forearm_fem.geometry.mesh.refinement import onto_circle, refine, refine_rims, rim_edges
 from forearm_fem.geometry.mesh.topology import FACES, keys
+from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
 
 COARSE = {"size_grid": 4e-3, "size_contact": 2e-3, "size_far": 12e-3}
@@ -83,6 +84,13 @@ def test_rim_area_converges_to_the_disc(quarter):
     areas = [facet_area(*_contact(refine_rims(quarter, ports, size))) for size in (0.75e-3, 0.25e-3)]
     miss = 1 - np.array(areas) / disc
     assert miss[1] < miss[0] / 3 < 0.005  # chords: quadratic, at least one halving
+
+
+def test_a_vertex_under_a_contacts_middle_stays_there():
+    """A wall of the skin just below it lifts a vertex onto the axis, from which no way leads outwards."""
+    port = Port("A1", "contact", (0.0, 0.0, 0.1), (0.6, 0.0, 0.8), 3e-3)
+    points = np.array([port.position, (0.0, 1e-3, 0.1)])
+    assert np.array_equal(onto_circle(points, port), [port.position, (0.0, 3e-3, 0.1)])
 
 
 def _contact(mesh):

@@ -88,13 +88,14 @@ def test_errors_of_pairs_come_back_in_single_precision_and_alone_for_the_source_
     g = transfer()
     shape = (2, *g.values.shape[1:])
     pairs = np.random.default_rng(0).random(shape)
-    apart = ErrorEstimate("discretisation", 0.05, "two meshes", (20.0, 300.0), (0.02, 0.1), pairs)
+    apart = ErrorEstimate("discretisation", 0.05, "two meshes", (20.0, 300.0), (0.02, 0.1), pairs, pairs * (1 - 2j))
     io.write_transfer(tmp_path / "g.nc", replace(g, errors=(*g.errors, apart)))
     *others, found = io.read_transfer(tmp_path / "g.nc").errors
     assert tuple(others) == g.errors
     assert all(e.per_pair is None for e in others)
     assert found == apart
     assert found.per_pair == pytest.approx(pairs, rel=6e-8)  # half a unit in the last place of single precision
+    assert found.together == pytest.approx(pairs * (1 - 2j), rel=2e-7)
 
 
 def test_optional_parts_stay_absent(tmp_path: Path) -> None:

@@ -8,12 +8,18 @@ import numpy as np
 import pytest
 from scenes import once
 
+from forearm_fem.accuracy.other_tissues import carried, shortening
+from forearm_fem.device import close_loop
+from forearm_fem.engines.fem import fem_model
 from forearm_fem.engines.skin_model import load_skin_model, save_skin_model
 from forearm_fem.errors import AccuracyWarning, DataError, ReductionError, ScenarioError
+from forearm_fem.fem.reduction.sweep import direct_sweep
+from forearm_fem.geometry.mesh.files import read_mesh
 from forearm_fem.questions.run import Run, run_solve
 from forearm_fem.results.files import read_transfer
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.transfer import relative_error
+from forearm_fem.tissue import KelvinVoigt, Tissue
+from forearm_fem.transfer import Compliance, ErrorEstimate, band_error, relative_error, total_error
 
 SCENE = {
     "name": "small",
@@ -47,12 +53,13 @@ def test_file_gives_the_run_again_at_its_bins(solved):
 
 
 def test_poles_of_the_file_are_those_of_its_matrices(solved):
-    """Files of before 0.12.1 hold none: each evaluation then diagonalises anew, and so it is for other tissues."""
+    """Without poles each evaluation diagonalises anew, and so it is for other tissues. Pressures of directions that
+    serve other tissues are taken along: 1e-8 seen, and a hundredth of what the model was asked for is allowed."""
     folder, transfer = solved
     model = load_skin_model(folder / "reduced.nc")
     assert model.poles is not None
     anew = replace(model, poles=None).transfer(transfer.frequency)
-    assert relative_error(anew.values, transfer.values).max() < 1e-9  # rounding of another diagonalisation
+    assert relative_error(anew.values, transfer.values).max() < 1e-5
     assert model.changed(["tissues.override.muscle.mu=12000.0"]).poles is None
 
 
@@ -63,15 +70,55 @@ def test_file_is_small_and_gives_any_frequency(solved):
     assert relative_error(between[1:2], between[[0, 2]].mean(axis=0)[None]).max() < 1e-4  # curvature over half a hertz
 
 
-def test_other_moduli_follow_without_a_mesh(solved, tmp_path):
-    """Against a solve made anew; 1e-2 of room because the space was made for the old modulus."""
+@pytest.mark.parametrize("change", [{"muscle": {"mu": 12000.0}}, {"muscle": {"eta": 1.0}, "skin": {"mu": 60e3}}])
+def test_other_moduli_follow_without_a_mesh_and_state_their_error(solved, change):
+    """Against direct solves on the same mesh; .8 to 5 of the true error over the band was stated of 60 such answers."""
     folder, _ = solved
-    change = "tissues.override.muscle.mu=12000.0"
-    anew = parse_scenario({**SCENE, "tissues": {"override": {"muscle": {"mu": 12000.0}}}})
-    exact = run_solve(Run.start(anew, tmp_path / "out", tmp_path))
     model = load_skin_model(folder / "reduced.nc")
-    assert relative_error(model.changed([change]).transfer(exact.frequency).values, exact.values).max() < 1e-2
-    assert relative_error(model.transfer(exact.frequency).values, exact.values).max() > 2e-2
+    some, anew = np.linspace(50.0, 380.0, 3), parse_scenario({**SCENE, "tissues": {"override": change}})
+    mesh = read_mesh(folder / "mesh.vtu")
+    values = direct_sweep(fem_model(anew, mesh), some, anew.solver).values
+    exact = close_loop(Compliance(some, values, model.ports), anew.device)
+    asked = [f"tissues.override.{t}.{k}={v}" for t, keys in change.items() for k, v in keys.items()]
+    found = model.changed(asked).transfer(some)
+    true, stated = band_error(found.values, exact.values), {e.source: e.band for e in found.errors}
+    assert 0.5 * true < stated["reduction"] < 6 * true
+    assert true < 0.5 * band_error(model.transfer(some).values, exact.values)
+    assert np.isnan(stated["discretisation"])  # the run was told to estimate none
+
+
+def test_the_run_s_own_answers_carry_its_errors(solved):
+    folder, transfer = solved
+    model = load_skin_model(folder / "reduced.nc")
+    found = {e.source: e.band for e in model.transfer(transfer.frequency).errors}
+    assert found == pytest.approx({e.source: e.band for e in transfer.errors}, nan_ok=True)
+    with pytest.warns(AccuracyWarning):
+        beyond = model.changed(["tissues.override.muscle.mu=12000.0"]).transfer(np.array([100.0, 900.0]))
+    assert np.isnan(total_error(beyond.errors))
+
+
+def test_without_directions_for_other_tissues_these_are_refused(solved):
+    model = replace(load_skin_model(solved[0] / "reduced.nc"), core=0)
+    model.changed(["device.coil.moving_mass=0.01"])
+    with pytest.raises(ScenarioError, match="tells no error for other tissues"):
+        model.changed(["tissues.override.muscle.mu=12000.0"])
+
+
+def test_errors_by_mesh_and_ends_are_those_where_waves_were_as_long():
+    """A quarter of the modulus: waves half as long, and the mesh errs as at twice the frequency; ends at the same.
+    Beyond the band the mesh's error grows with the fourth power."""
+    f = np.array([50.0, 100.0, 200.0, 400.0])
+    mesh = ErrorEstimate("discretisation", 0.02, "two meshes", tuple(f), (0.01, 0.02, 0.03, 0.04))
+    soft, stiff = (Tissue("muscle", 1e3, KelvinVoigt(mu, 0.0)) for mu in (1e3, 4e3))
+    most, least = shortening({"muscle": stiff}, {"muscle": soft}, f)
+    assert most == pytest.approx(2)
+    assert least == pytest.approx(1)
+    found = carried(mesh, f, most, np.ones(4))
+    assert found.per_frequency == pytest.approx((0.02, 0.03, 0.04, 0.04 * 2**4))
+    assert found.band == pytest.approx(0.02 * np.sqrt(np.mean(np.square(found.per_frequency)) / 7.5e-4))
+    longer = shortening({"muscle": soft}, {"muscle": stiff}, f)[1]
+    ends = carried(replace(mesh, source="truncation"), f, longer, np.ones(4))
+    assert ends.per_frequency == pytest.approx((0.01 * 2**2, 0.01, 0.02, 0.03))
 
 
 @pytest.mark.parametrize(

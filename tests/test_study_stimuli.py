@@ -304,17 +304,18 @@ def _written(lab, rows, kind):
         return file
     name, time, answer = {
         "psychopy": ("response", "response_time", "{}"), "builder": ("key_resp.keys", "key_resp.rt", "num_{}"),
-        "mouse": ("mouse.clicked_name", "response_time", "['{}']"),
+        "mouse": ("mouse.clicked_name", "response_time", "['{}']"), "excel": ("response", "response_time", "{}"),
     }[kind]  # fmt: skip
     told = [{**r, name: answer.format(r["target"]), time: 1.5, "expName": "pilot"} for r in rows]
     with file.open("w", newline="", encoding="utf-8-sig") as stream:
-        writer = csv.DictWriter(stream, list(told[0]))
+        stream.write("sep=;\n" if kind == "excel" else "")
+        writer = csv.DictWriter(stream, list(told[0]), delimiter=";" if kind == "excel" else ",")
         writer.writeheader()
         writer.writerows(told)
     return file
 
 
-@pytest.mark.parametrize("kind", ["psychopy", "builder", "mouse", "jspsych"])
+@pytest.mark.parametrize("kind", ["psychopy", "builder", "mouse", "jspsych", "excel"])
 def test_answers_of_other_programs_become_our_own_table(handed, kind):
     lab, rows, prepared = handed
     table = answers(prepared.store(), [_written(lab, rows, kind)], prepared.grid())["identification"]

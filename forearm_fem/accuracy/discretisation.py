@@ -14,7 +14,7 @@ from ..geometry.mesh.topology import EDGES
 from ..ports import Port, distances
 from ..scenario import Scenario
 from ..tissue import Tissue, resolve_tissues
-from ..transfer import ErrorEstimate, TransferMatrix, relative_error
+from ..transfer import ErrorEstimate, TransferMatrix, band_error, relative_error
 from ..typing import ComplexArray, FloatArray, IntArray
 from .estimates import raised_to_row_column_mean
 
@@ -170,6 +170,8 @@ def discretisation_of(
     found = discretisation_error(coarse.values, fine.values, fine.frequency, ratio, lag, coarser)
     pairs = over_pairs(found.error, coarse.values, fine.values, fine.frequency)
     pairs = np.maximum(pairs, found.unseen / np.abs(fine.values).max(axis=(1, 2), keepdims=True))
+    largest, change = np.abs(fine.values).max(axis=(1, 2), keepdims=True), band_error(coarse.values, fine.values)
+    together = (coarse.values - fine.values) / largest * (found.band / change if change > 0 else 0.0)
     lost = fine.frequency[found.unseen.any(axis=(1, 2))]
     blind = f"; from {lost[0]:g} Hz on at least the lag of waves too short for the elements" if len(lost) else ""
     if mesh is None:
@@ -182,6 +184,7 @@ def discretisation_of(
         tuple(fine.frequency.tolist()),
         tuple(found.error.tolist()),
         pairs,
+        together,
     )
 
 

@@ -16,6 +16,7 @@ from ..transfer import (
     ErrorEstimate,
     ErrorSource,
     TransferMatrix,
+    between,
     error_of_pairs,
     relative_error_at,
     total_error,
@@ -88,6 +89,7 @@ class PairErrors:
 
 # What an error of G means for S.
 
+APART = 0.3  # of a pair's error by the mesh: what other pairs do not share
 _WAVES = 64  # random cosines that make up one perturbation
 
 
@@ -144,15 +146,23 @@ def signal_strength_uncertainty(
 def perturbed(
     transfer: TransferMatrix, sources: Sequence[ErrorEstimate], rng: np.random.Generator, correlation: float
 ) -> TransferMatrix:
-    """G plus one draw of its errors: complex noise per source, independent over entries, smooth over ``correlation``
-    [Hz]. Its root mean square is each pair's own error where a source tells pairs apart; its largest entry is e(f) of
-    the largest of G at each frequency where not."""
+    """G plus one draw of its errors: complex noise per source, smooth over ``correlation`` [Hz].
+
+    Where a source tells what entries do ``together``, one factor of unit variance moves them all, and :data:`APART` of
+    a pair's error is its own. Noise of other sources is independent over entries, of the root mean square that they
+    state for each pair, or with e(f) of the largest of G as its largest entry.
+    """
     usable = np.isfinite(transfer.values) if transfer.valid is None else transfer.valid & np.isfinite(transfer.values)
     scale = np.max(np.abs(transfer.values), axis=(1, 2), where=usable, initial=0)
     change = np.zeros(transfer.values.shape, dtype=complex)
     for source in sources:
         noise = smooth_noise(transfer.frequency, transfer.values.shape[1:], rng, correlation)
         size = error_of_pairs(source, transfer.frequency)
+        if source.together is not None:
+            apart = 0.0 if size is None else APART
+            one = smooth_noise(transfer.frequency, (1, 1), rng, correlation) * np.sqrt(1 - apart**2)
+            size = np.zeros(noise.shape) if size is None else apart * size
+            change += scale[:, None, None] * one * between(source, source.together, transfer.frequency)
         if size is None:
             noise /= np.abs(noise).max(axis=(1, 2), keepdims=True)
             size = relative_error_at(source, transfer.frequency)[:, None, None]

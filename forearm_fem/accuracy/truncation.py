@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..transfer import ErrorEstimate, TransferMatrix, relative_error_at
+from ..transfer import ErrorEstimate, TransferMatrix, between, relative_error_at
 from ..typing import FloatArray
 from .discretisation import smoothed_relative_change
 
 # Shares of a change of ends that bracket the true error of cutting the limb (decision 0016).
 OTHER_ENDS, _OTHER = 0.5, "the ends are clamped (where they are clamped: freed), on the coarser mesh"
 FREED_ENDS, _FREED = 0.5, "the absorbing ends are freed (by the reduced model)"
+LEAST_TOGETHER = 0.3  # of e(f): freed ends may move G by less than they err
+ENOUGH_TOGETHER = 20  # frequencies, between which what entries do together can be read
 
 
 def freed_ends_error(transfer: TransferMatrix, freed: TransferMatrix) -> ErrorEstimate:
@@ -37,10 +39,14 @@ def combined_truncation_error(estimates: list[ErrorEstimate]) -> ErrorEstimate:
     frequency = np.unique(np.concatenate([e.frequency for e in estimates]))
     larger = np.maximum(relative_error_at(freed, frequency), interpolated_in_log_ratio(clamped, freed, frequency))
     error = np.maximum.accumulate(larger[::-1])[::-1]
+    together = None
+    if freed.together is not None and freed.together.any(axis=(1, 2)).all():
+        together = between(freed, freed.together, frequency)
+        lacking = LEAST_TOGETHER * error / np.abs(together).max(axis=(1, 2))
+        together = together * np.maximum(lacking, 1.0)[:, None, None]
     method = "at each frequency the larger of " + " and ".join(e.method for e in estimates) + ", there or higher up"
-    return ErrorEstimate(
-        "truncation", max(e.band for e in estimates), method, tuple(frequency.tolist()), tuple(error.tolist())
-    )
+    band, own = max(e.band for e in estimates), tuple(frequency.tolist())
+    return ErrorEstimate("truncation", band, method, own, tuple(error.tolist()), together=together)
 
 
 def interpolated_in_log_ratio(few: ErrorEstimate, many: ErrorEstimate, frequency: FloatArray) -> FloatArray:
@@ -74,6 +80,7 @@ def _truncation(
     shares = share * size / between
     change = np.linalg.norm(other.values - same, axis=(1, 2)) / size
     weight = np.linalg.norm(transfer.values, axis=(1, 2)) ** 2
+    together = share * (other.values - same) / np.abs(same).max(axis=(1, 2), keepdims=True)
     spread = np.interp(np.sqrt(transfer.frequency), np.sqrt(other.frequency), shares * change)
     return ErrorEstimate(
         "truncation",
@@ -81,4 +88,5 @@ def _truncation(
         f"{share:g} of the change of G when {method}, over what lies between the two where that is less",
         tuple(other.frequency.tolist()),
         tuple((shares * smoothed_relative_change(other.values, same, other.frequency)).tolist()),
+        together=together if len(other.frequency) >= ENOUGH_TOGETHER else None,
     )

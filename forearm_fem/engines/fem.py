@@ -52,10 +52,12 @@ def solve_fem(
     progress: Progress | None = None,
     kept: Shelf | None = None,
     tolerance: float | None = REDUCTION,
+    widen: bool = False,
 ) -> FemSolution:
     """Compliance of all ports of ``scenario`` on ``mesh`` at ``frequency`` (n,) [Hz].
 
     ``tolerance`` is e(f) asked of the reduced model, None for an uncertified one; its expansions are ``kept``.
+    ``widen`` adds directions for other tissues.
     """
     tell(progress, "assembly", 0, 1)
     model = fem_model(scenario, mesh)
@@ -66,7 +68,7 @@ def solve_fem(
     finish_compiling(progress, complex_ones=not (seldom and pardiso.mkl_library() is not None))
     give_back()  # element matrices and matrices before constraints are gone: more than the operator itself
     if small is not None:
-        result = reduced_sweep(model, frequency, small, tolerance=tolerance, progress=progress, kept=kept)
+        result = reduced_sweep(model, frequency, small, tolerance=tolerance, progress=progress, kept=kept, widen=widen)
     else:
         result = direct_sweep(model, frequency, solver, progress=progress)
     compliance = Compliance(frequency, masked(result.values, model.ports), model.ports, _errors(result))

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..accuracy.other_tissues import carried, probes, shortening, space_error
 from ..device import close_loop
 from ..errors import AccuracyWarning, DataError, ReductionError, ScenarioError
 from ..fem.assembly.coefficients import Coefficient, term_coefficient
@@ -22,7 +23,7 @@ from ..scenario.load import read_overrides
 from ..scenario.sweep import frequencies
 from ..store.record import dims, load, save
 from ..tissue import resolve_tissues
-from ..transfer import Compliance, TransferMatrix
+from ..transfer import Compliance, ErrorEstimate, TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .fem import masked
 
@@ -30,6 +31,8 @@ __all__ = ["SkinModel", "check_followable", "load_skin_model", "save_skin_model"
 
 _MAY_CHANGE = {"tissues", "device", "name", "description"}
 _BEYOND = 1.05  # ratio to the ends of the band up to which a model with unstable poles is trusted
+_OF_SPACE = ("reduction", "linear solve")  # sources of errors of a compliance; mesh and ends are told of G
+_BEYOND_BAND = "not estimated: frequencies lie outside the band that was solved; solve a wider one"
 _NOT_AFFINE = "the bulk modulus is not a parameter of the reduced model; solve the scenario anew"
 
 
@@ -37,22 +40,26 @@ _NOT_AFFINE = "the bulk modulus is not a parameter of the reduced model; solve t
 class SkinModel:
     """A limb seen through its ports: ``reduced`` matrices with the coefficients of ``scenario``.
 
-    Certified for the scenario it was made for, in its band. For other moduli the space is the old one, and the error
-    grows with the change: below 1e-2 for 20 % of one modulus in the tests' scenes; it is not estimated here.
-    ``poles`` are what the sweep found for these coefficients; without them each evaluation finds its own.
+    ``core`` is how many of its directions, the first, were certified for the scenario that was ``solved``; the others
+    serve other moduli (:func:`.widened`), 0 where there are none. ``poles`` are what the sweep found for its
+    coefficients; without them each evaluation finds its own. ``errors`` are those of the solved compliance, then those
+    of its G by mesh and ends. ``solved`` is None where the scenario is the solved one.
     """
 
     scenario: Scenario
     ports: tuple[Port, ...]
     reduced: ReducedModel
     poles: PoleResidue | None = None
+    core: int = 0
+    errors: tuple[ErrorEstimate, ...] = ()
+    solved: Scenario | None = None
 
     def compliance(self, frequency: FloatArray) -> Compliance:
-        """Compliance of all ports at ``frequency`` (n,) [Hz]; NaN for a point force under itself.
+        """Compliance of all ports at ``frequency`` (n,) [Hz] with its error; NaN for a point force under itself.
 
-        Frequencies more than 5 % beyond the band are answered with an AccuracyWarning. Raises ReductionError for them
-        where the model has unstable poles, as it may for incompressible tissue, and in files of older versions;
-        DataError for none, or what is no frequency.
+        Frequencies more than 5 % beyond the band are answered with an AccuracyWarning, and the error is unknown. Raises
+        ReductionError for them where the model has unstable poles, as it may for incompressible tissue; DataError for
+        none, or what is no frequency.
         """
         if frequency.ndim != 1 or not len(frequency) or not np.all(np.isfinite(frequency) & (frequency >= 0)):
             raise DataError("frequency: expected a row of one or more, finite and not negative [Hz]; correct it")
@@ -71,22 +78,65 @@ class SkinModel:
                 AccuracyWarning,
                 stacklevel=2,
             )
-        values = (self.poles or pole_residue(self.reduced, frequency) or self.reduced).compliance(frequency)
-        return Compliance(frequency.copy(), masked(values, self.ports), self.ports)
+        used = self._certified if self.solved is None else self.reduced
+        values = masked((self.poles or pole_residue(used, frequency) or used).compliance(frequency), self.ports)
+        found = Compliance(frequency.copy(), values, self.ports, tuple(e for e in self.errors if e.source in _OF_SPACE))
+        if len(beyond):
+            return replace(found, errors=(ErrorEstimate("reduction", np.nan, _BEYOND_BAND),))
+        if self.solved is None:
+            return found
+        some, narrow = self._compared(found)
+        error = space_error(some.frequency, *(c.block("point", "contact") for c in (some, narrow)))
+        solves = (e for e in found.errors if e.source != "reduction")
+        return replace(found, errors=(*solves, replace(error, per_pair=None)))
+
+    @property
+    def _certified(self) -> ReducedModel:
+        """The model on the directions that were certified for what was solved."""
+        own, k = self.reduced, self.core or self.reduced.size
+        return replace(own, matrices=own.matrices[:, :k, :k], functionals=own.functionals[:k])
+
+    def _compared(self, found: Compliance) -> tuple[Compliance, Compliance]:
+        """Some rows of ``found``, and the same by the certified directions alone."""
+        rows = probes(len(found.frequency))
+        some = replace(found, frequency=found.frequency[rows], values=found.values[rows], errors=())
+        return some, replace(some, values=masked(self._certified.compliance(some.frequency), self.ports))
 
     def transfer(self, frequency: FloatArray) -> TransferMatrix:
-        """G of the scenario's device at ``frequency`` (n,) [Hz], increasing; otherwise as :meth:`compliance`."""
-        return close_loop(self.compliance(frequency), self.scenario.device)
+        """G of the scenario's device at ``frequency`` (n,) [Hz], increasing; otherwise as :meth:`compliance`.
+
+        For other tissues errors by mesh and ends are taken where waves were as long (:func:`.carried`).
+        """
+        found = self.compliance(frequency)
+        g, mesh = close_loop(found, self.scenario.device), [e for e in self.errors if e.source not in _OF_SPACE]
+        if self.solved is None or any(not e.known for e in g.errors):
+            return replace(g, errors=(*mesh, *g.errors))
+        some, narrow = (close_loop(c, self.scenario.device) for c in self._compared(found))
+        space = space_error(some.frequency, some.values, narrow.values)
+        most, least = shortening(resolve_tissues(self.solved), resolve_tissues(self.scenario), frequency)
+        size = np.linalg.norm(g.values, axis=(1, 2))
+        mesh = [carried(e, frequency, least if e.source == "truncation" else most, size) for e in mesh]
+        return replace(g, errors=(*mesh, *(e for e in g.errors if e.source != "reduction"), space))
 
     def changed(self, overrides: Sequence[str]) -> SkinModel:
         """The model for ``key.path=value`` overrides of tissues (not their bulk moduli) and device (not its places).
 
-        Raises ScenarioError for a key that the reduced model cannot follow.
+        Raises ScenarioError for a key that the reduced model cannot follow, and where it holds nothing to tell the
+        error of other tissues by.
         """
         before = self.scenario.model_dump(mode="json")
         after = parse_scenario(before, changes=read_overrides(overrides))
         check_followable(self.scenario, after, self.reduced.names)
-        return replace(self, scenario=after, reduced=with_scenario(self.reduced, after), poles=None)
+        old = self.solved or self.scenario
+        if old.tissues == after.tissues:
+            poles = self.poles if before == after.model_dump(mode="json") else None
+            return replace(self, scenario=after, reduced=with_scenario(self.reduced, after), poles=poles, solved=None)
+        if not self.core:
+            raise ScenarioError(
+                "tissues: this reduced model tells no error for other tissues; solve the scenario anew, which is then "
+                "kept with what other tissues ask for"
+            )
+        return replace(self, scenario=after, reduced=with_scenario(self.reduced, after), poles=None, solved=old)
 
 
 def with_scenario(reduced: ReducedModel, scenario: Scenario) -> ReducedModel:
@@ -107,10 +157,11 @@ class ReducedFile:
     ``matrices`` (n_term, r, r) of terms ``names``, real and symmetric, ``functionals`` (r, n_port) and ``shares``
     (n_port,) as in :class:`forearm_fem.fem.reduction.reduced_model.ReducedModel`, and the poles and residues of
     :class:`forearm_fem.fem.reduction.poles.PoleResidue` where there are any. The scenario multiplies the terms.
+    ``core`` and ``errors`` are as in :class:`SkinModel`.
     """
 
     kind: ClassVar[str] = "reduced model"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     names: tuple[str, ...] = field(metadata=dims("term", name="term"))
     matrices: FloatArray = field(metadata=dims("term entry", name="upper", upper=True))
@@ -121,6 +172,8 @@ class ReducedFile:
     poles: ComplexArray | None = field(default=None, metadata=dims("mode"))
     left: ComplexArray | None = field(default=None, metadata=dims("port mode"))
     right: ComplexArray | None = field(default=None, metadata=dims("mode port"))
+    core: int = 0
+    errors: tuple[ErrorEstimate, ...] = ()
 
     @classmethod
     def of(cls, model: SkinModel) -> ReducedFile:
@@ -128,7 +181,8 @@ class ReducedFile:
         r, seen = model.reduced, model.poles
         poles = {} if seen is None else {name: getattr(seen, name) for name in ("poles", "left", "right")}
         scenario = model.scenario.model_dump(mode="json")
-        return cls(r.names, r.matrices, r.functionals, r.shares, model.ports, scenario, **poles)
+        kept = (r.names, r.matrices, r.functionals, r.shares, model.ports, scenario)
+        return cls(*kept, **poles, core=model.core, errors=model.errors)
 
     def model(self, origin: str | Path) -> SkinModel:
         """The model of a file; ScenarioError for a scenario that is not known, which ``origin`` holds."""
@@ -138,7 +192,7 @@ class ReducedFile:
         poles = None
         if self.poles is not None and self.left is not None and self.right is not None:
             poles = PoleResidue(self.poles, self.left, self.right, shares=self.shares)
-        return SkinModel(scenario, self.ports, with_scenario(bare, scenario), poles)
+        return SkinModel(scenario, self.ports, with_scenario(bare, scenario), poles, self.core, self.errors)
 
 
 def save_skin_model(path: Path, model: SkinModel) -> None:

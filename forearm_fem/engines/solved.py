@@ -103,7 +103,9 @@ def solve(
     store = _Store(solve_key(scenario, mesh, frequency))
     if (main := store.main()) is None:
         tolerance = reduction_tolerance(scenario)
-        solution = solve_fem(scenario, mesh, frequency, progress=progress, kept=store.parts, tolerance=tolerance)
+        solution = solve_fem(
+            scenario, mesh, frequency, progress=progress, kept=store.parts, tolerance=tolerance, widen=True
+        )
         main = _packed(scenario, solution, frequency)
         store.keep_main(main)
     # what freed ends do not show: pressure hardly feels dashpots of shear, so that a slab's ends are as good as free
@@ -171,8 +173,9 @@ def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) ->
     modes, states = np.zeros((0, 3, 0)), np.zeros((len(frequency), 0, 0), dtype=complex)
     skin = None
     if sweep.reduced is not None:
-        bare = replace(sweep.reduced, basis=Basis())
-        skin = SkinModel(scenario, model.ports, bare, sweep.poles)
+        wider, core = (sweep.wider, sweep.wider.low.shape[1]) if sweep.wider else (sweep.reduced, 0)
+        bare = replace(wider, basis=Basis(), low=np.zeros((wider.size, 0)), coupling=np.zeros((0, 0)))
+        skin = SkinModel(scenario, model.ports, bare, sweep.poles, core, solution.compliance.errors)
         contacts = solution.compliance.indices("contact")
         modes = field_modes(solution)
         states = sweep.states(frequency, contacts)

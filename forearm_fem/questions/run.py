@@ -246,7 +246,9 @@ def _write_solution(run: Run, simulation: Simulation) -> None:
         if carries_points(scenario.device):
             run.notes.append(_WITHOUT_SHARE)
     if simulation.solved is not None and simulation.solved.skin is not None:
-        save_skin_model(out / "reduced.nc", replace(simulation.solved.skin, scenario=scenario))
+        skin, of_g = simulation.solved.skin, ("discretisation", "truncation")
+        errors = (*simulation.compliance.errors, *(e for e in transfer.errors if e.source in of_g))
+        save_skin_model(out / "reduced.nc", replace(skin, scenario=scenario, errors=errors))
     if simulation.solved is not None:
         run.solution = simulation.solved.facts
     if (mesh := simulation.mesh) is not None:

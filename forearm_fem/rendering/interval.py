@@ -14,7 +14,7 @@ from ..errors import DataError
 from ..metrics import perturbed
 from ..metrics.strength import plain_strength, without_bound
 from ..store.text import plain
-from ..transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at, total_error
+from ..transfer import ErrorEstimate, TransferMatrix, between, error_of_pairs, relative_error_at, total_error
 from ..typing import FloatArray
 from .bridging import with_wider_ends
 from .drives import Renderer
@@ -265,7 +265,9 @@ def at_least_band(error: ErrorEstimate, frequency: FloatArray) -> ErrorEstimate:
     size = np.maximum(own, error.band)
     if pairs is not None:
         pairs = pairs * np.divide(size, own, out=np.ones_like(own), where=own > 0)[:, None, None]
-    return replace(error, frequency=tuple(frequency.tolist()), per_frequency=tuple(size.tolist()), per_pair=pairs)
+    together = None if error.together is None else between(error, error.together, frequency)
+    raised = tuple(frequency.tolist()), tuple(size.tolist())
+    return replace(error, frequency=raised[0], per_frequency=raised[1], per_pair=pairs, together=together)
 
 
 def _shorter(

@@ -22,6 +22,7 @@ from scipy.io import wavfile
 from scipy.signal import resample
 
 from .. import __version__
+from ..contents import text_of
 from ..errors import DataError, ScenarioError
 from ..measurement.daq import faded
 from ..ports import Port
@@ -164,8 +165,8 @@ def _foreign(store: StudyStore, files: Sequence[Path], grid: Sequence[Port]) -> 
 def _answered(file: Path) -> list[dict[str, str]]:
     """Answered trials of a file: rows with all columns needed and a response, as texts."""
     try:
-        text = file.read_text(encoding="utf-8-sig")
-        raw = json.loads(text) if file.suffix == ".json" else list(csv.DictReader(text.splitlines()))
+        text = text_of(file.read_bytes())
+        raw = json.loads(text) if file.suffix == ".json" else _table(text)
         table = [row for row in raw if all(str(row.get(k) or "") for k in _NEEDED)]
     except (OSError, ValueError, AttributeError, TypeError, csv.Error) as problem:
         raise DataError(f"{file}: cannot be read as PsychoPy's CSV or jsPsych's JSON or CSV "
@@ -179,11 +180,22 @@ def _answered(file: Path) -> list[dict[str, str]]:
             told = {k: str(row[k]).removesuffix(".0") for k in _NEEDED}
             done.append({**row, **told, "response": response, "response_time": _seconds(row)})
     if not done:
+        columns = {str(k) for row in raw for k in row}
+        lacks = [k for k in _NEEDED if k not in columns] or [f"one of {', '.join(_RESPONSES)} that is filled in"]
         raise DataError(
-            f"{file}: holds no answer to a trial of trials.csv; expected the columns {', '.join(_NEEDED)} and one of "
-            f"{', '.join(_RESPONSES)}"
+            f"{file}: holds no answer to a trial of trials.csv, by which answers are held against the plan; it lacks "
+            f"{', '.join(lacks)}: keep the columns of trials.csv beside the response"
         )
     return done
+
+
+def _table(text: str) -> list[dict[str, Any]]:
+    """Rows of a CSV as programs and spreadsheets write it: commas, semicolons or tabs, which ``sep=;`` may say."""
+    first, _, rest = text.partition("\n")
+    if said := re.fullmatch(r'"?sep=(.)"?', first.strip(), re.IGNORECASE):
+        return list(csv.DictReader(rest.splitlines(), delimiter=said[1]))
+    mark = max(",;\t", key=first.count)
+    return list(csv.DictReader(text.splitlines(), delimiter=mark))
 
 
 def _seconds(row: Mapping[str, Any]) -> str:

@@ -78,6 +78,14 @@ def is_polynomial(coefficient: Coefficient) -> bool:
     return not rest and bool(np.abs(odd).max() <= 1e-12 * abs(value))
 
 
+def kelvin_voigt_like(coefficient: Coefficient, omega: float) -> Coefficient:
+    """A spring and dashpot of the same size at ``omega`` [rad/s]; a polynomial as it is."""
+    if is_polynomial(coefficient):
+        return coefficient
+    value = complex(coefficient.at(np.array(omega)))
+    return Polynomial(max(value.real, 0.0), value.imag / omega)
+
+
 def polynomial_weights(taylor: ComplexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Weights (n,) of 1, i omega and -omega^2 from Taylor coefficients (n, 3) about zero."""
     return taylor[:, 0].real, (taylor[:, 1] / 1j).real, (-taylor[:, 2]).real

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from ...progress import Progress, tell
 from ...scenario.sweep import ReducedSolve
 from ...store.shelf import Shelf
 from ...typing import ComplexArray, FloatArray
-from ..assembly.coefficients import is_polynomial
+from ..assembly.coefficients import is_polynomial, kelvin_voigt_like, rate_weights
 from ..assembly.model import ForearmModel
 from ..kernels.compiled import give_back
 from ..linear.direct import DirectSolver, make_solver, watched
@@ -272,6 +272,15 @@ class Expander:
         bound = ResidualBound(self._ready(float(frequency[-1])), expansion_rate(frequency))
         bounds = bound.errors(made.reduced, frequency, pole_residue(made.reduced, frequency))
         return most_doubtful_bin(bounds, frequency, known)
+
+    def inverse(self, frequency: FloatArray) -> Callable[[FloatArray], FloatArray]:
+        """P^-1 times real columns, P the stiffness at :func:`expansion_rate`; factorised where its factors are gone."""
+        if self._space is not None:
+            return self._space.solved
+        solver, rate = self._ready(float(frequency[-1])), expansion_rate(frequency)
+        terms = [kelvin_voigt_like(t.coefficient, rate) for t in self.model.operator.terms]
+        solver.factor.factorise(self.model.operator.combine(rate_weights(terms, rate)[0].tolist()))
+        return solver.factor.solve
 
     @property
     def solver(self) -> str:

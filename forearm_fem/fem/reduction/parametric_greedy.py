@@ -13,7 +13,7 @@ from ...scenario.sweep import SolverOptions
 from ...store.shelf import Shelf
 from ...transfer import relative_error
 from ...typing import BoolArray, ComplexArray, FloatArray
-from ..assembly.coefficients import Coefficient, Polynomial, is_polynomial
+from ..assembly.coefficients import Coefficient, kelvin_voigt_like
 from ..assembly.model import ForearmModel
 from ..linear.direct import DirectSolver, make_solver, watched
 from .basis import Basis, real_columns, rough_extension
@@ -196,14 +196,6 @@ class Growing:
         operator = self._model.operator
         terms = tuple(replace(t, coefficient=c) for t, c in zip(operator.terms, draw, strict=True))
         return replace(self._ready, model=replace(self._model, operator=replace(operator, terms=terms)))
-
-
-def kelvin_voigt_like(coefficient: Coefficient, omega: float) -> Coefficient:
-    """A spring and dashpot of the same size at ``omega`` [rad/s]; a polynomial as it is."""
-    if is_polynomial(coefficient):
-        return coefficient
-    value = complex(coefficient.at(np.array(omega)))
-    return Polynomial(max(value.real, 0.0), value.imag / omega)
 
 
 def part_of(reduced: ReducedModel, kept: BoolArray) -> ReducedModel:

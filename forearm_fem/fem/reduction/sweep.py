@@ -18,6 +18,7 @@ from .certificate import Certificate, certified, error_at, largest_change
 from .expansion import Expander, Made, Snapshots, expansion_frequencies, starts_from_rate
 from .poles import Modes, compressed, pole_residue
 from .reduced_model import ReducedModel
+from .widening import widened
 
 _SHARE = 1e-3  # of what is asked of the reduced model: the residual that its solves are refined to
 _UNCERTIFIED = 1e-5  # what the second stage may cost where nothing else is known
@@ -32,6 +33,7 @@ class SweepResult:
     ``residual`` is the largest relative residual of any solve, ``solve_error`` the error of the compliance that it
     causes, relative to the largest watched entry: x_i . r_j, exact to first order as A is symmetric. ``rate``
     [1/s] is where the model started, with so many ``derivatives``; 0 where it started from frequencies.
+    ``wider`` serves other moduli (:func:`.widened`).
     """
 
     values: ComplexArray
@@ -46,6 +48,7 @@ class SweepResult:
     solver: str = ""
     rate: float = 0.0
     derivatives: int = 0
+    wider: ReducedModel | None = None
 
     @property
     def factorisations(self) -> int:
@@ -103,6 +106,7 @@ def reduced_sweep(
     tolerance: float | None = 1e-4,
     progress: Progress | None = None,
     kept: Shelf | None = None,
+    widen: bool = False,
 ) -> SweepResult:
     """Sweep by a reduced model that is certified between the places it was made from.
 
@@ -113,7 +117,8 @@ def reduced_sweep(
     certificates say what was reached). Solves are refined to a thousandth of ``tolerance``, to 1e-7 at least. Where
     resonances are sharp the model is made in double precision, and a bound at every bin (:mod:`.bounds`) must pass as
     well. With ``tolerance`` None nothing is certified and no factorisation is spent on it. Raises SolverError where
-    the stated error is above 0.5. What is ``kept`` of an interrupted sweep is not made again.
+    the stated error is above 0.5. What is ``kept`` of an interrupted sweep is not made again. Asked to ``widen``, it
+    makes :attr:`SweepResult.wider`, too.
     """
     _refuse_lossless(model, frequency)
     residual = ENOUGH if tolerance is None else min(ENOUGH, _SHARE * tolerance)
@@ -124,8 +129,9 @@ def reduced_sweep(
             made = work.about_frequencies(expansion_frequencies(frequency, options), progress)
         if tolerance is not None:
             made = _certified(work, made, frequency, options, tolerance, progress)
+        wider = widened(model, made.reduced, frequency, work.inverse(frequency)) if widen else None
         work.release()
-        result = replace(_swept(model, made, frequency, tolerance), solver=work.solver)
+        result = replace(_swept(model, made, frequency, tolerance), solver=work.solver, wider=wider)
     except np.linalg.LinAlgError as problem:
         raise SolverError(
             f"the reduced model breaks down in this band ({problem}); set solver.sweep = 'direct', or give the tissues "

@@ -225,8 +225,9 @@ def _too_long(mesh: TissueMesh, contacts: tuple[Port, ...], rim_size: float) -> 
 
 
 def onto_circle(points: FloatArray, port: Port) -> FloatArray:
-    """Points (n, 3) moved straight away from (or towards) the contact's axis to its radius."""
+    """Points (n, 3) moved straight away from (or towards) the contact's axis to its radius; one on the axis stays."""
     centre, axis = np.asarray(port.position), np.asarray(port.axis)
     along = np.outer((points - centre) @ axis, axis)
     across = points - centre - along
-    return np.asarray(centre + along + across * (port.radius / np.linalg.norm(across, axis=1))[:, None])
+    away = np.maximum(np.linalg.norm(across, axis=1), 1e-300)
+    return np.asarray(centre + along + across * (port.radius / away)[:, None])

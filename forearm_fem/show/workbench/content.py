@@ -95,7 +95,7 @@ def library_content(
     record = Record.of(scenario.sweep.sample_rate, scenario.sweep.duration)
     places, missed = places_of(arm, scenario, progress)
     transfer = simulate(scenario, engine=arm).transfer
-    errors = (*(replace(e, per_pair=None) for e in transfer.errors), missed)
+    errors = (*(replace(e, per_pair=None, together=None) for e in transfer.errors), missed)
     holes = bridged(replace(transfer, errors=errors))
     placed = place(holes.transfer, record)
     found = np.searchsorted(placed.bins.frequency, places.frequency - 1e-6)
