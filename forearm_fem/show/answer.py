@@ -19,9 +19,8 @@ from ..transfer import total_error
 from .data import Results
 from .facts import _device, _grid, limb_words
 from .judge import Strengths, strengths
+from .track import track_record
 
-PEOPLE = 1.5
-"""Factor to either side by which S differs among nine in ten arms: `forearm-fem validate` finds 1.46 to 1.55."""
 _SURE = 0.005  # relative half width below which an interval is not worth its room
 
 
@@ -178,12 +177,14 @@ def accuracy_words(results: Results) -> str:
 
 def people_words(data: Strengths) -> str:
     """What arms do to S: of a prediction where the folder holds one, else that it is not included."""
+    record = track_record()
     if data.arms is None:
-        return f"People differ by about a factor of {PEOPLE:g} to either side, not included: `forearm-fem predict`."
+        return (f"People differ by about a factor of {record.width:.2g} to either side, not included: `forearm-fem "
+                f"predict`. {record.sentence}")  # fmt: skip
     best = method_answers(data)[0].method
     group, cell = next(iter(data.arms["by_group"][best].items()))
     return (f"People differ: over {data.arms['draws']} arms S of {best}, {group}, is {cell['arms'][0]:.2g} to "
-            f"{cell['arms'][-1]:.2g} (5-95 %, apart from the numerics).")  # fmt: skip
+            f"{cell['arms'][-1]:.2g} on the skin (5-95 %, apart from the numerics). {record.sentence}")  # fmt: skip
 
 
 def asked_of(results: Results) -> str:

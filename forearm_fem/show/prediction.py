@@ -14,6 +14,7 @@ from matplotlib.figure import FigureBase
 from ..store.folder import write_text
 from .page import Block, Page, Section, as_csv, embedded
 from .style import GREY, INK, SIGNED, Drawn, letter, method_colour, panels, styled
+from .track import track_record
 
 # Figures of a prediction: bands of S over arms, which method wins, and what drives S.
 
@@ -155,7 +156,7 @@ def write_prediction(folder: str | Path, data: Mapping[str, Any]) -> tuple[Path,
         Section("numerics", "How wrong the numerics may be", paragraphs=[_numerics(data)]),
         Section("scope", "What is in the band, and what is not", bullets=_scope(data)),
     ]
-    return Page(title, [lead], sections, stamp).save(out, "prediction")
+    return Page(title, [lead, track_record().sentence], sections, stamp).save(out, "prediction")
 
 
 _FIGURES: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], Drawn]]] = {
