@@ -9,7 +9,7 @@ setup(
     package_dir=DATA,
     package_data={
         "forearm_fem": [
-            "**/*.mplstyle", "**/*.html.j2", "study/pages/**/*", "questions/predict/*.toml", "tissue_laws.json",
+            "**/*.mplstyle", "**/*.html.j2", "study/pages/**/*", "questions/predict/*.toml", "tissue_laws.json", "track_record.json",
             "show/workbench/page/*", "py.typed",
         ],
         "forearm_fem._data.scenarios": ["*.toml"],
