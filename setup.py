@@ -9,8 +9,8 @@ setup(
     package_dir=DATA,
     package_data={
         "forearm_fem": [
-            "**/*.mplstyle", "**/*.html.j2", "study/pages/**/*", "questions/predict/*.toml", "tissue_laws.json", "track_record.json",
-            "show/workbench/page/*", "py.typed",
+            "**/*.mplstyle", "**/*.html.j2", "study/pages/**/*", "questions/predict/*.toml", "tissue_laws.json",
+            "track_record.json", "show/workbench/page/*", "py.typed",
         ],
         "forearm_fem._data.scenarios": ["*.toml"],
         "forearm_fem._data.meshes": ["*.vtu", "*.json", "sample/*.stl"],
