@@ -1,8 +1,8 @@
-"""A real measured G (SkinSource) through the recipe in docs/measurement.md: condition, S of all renderers.
+"""A real measured G (SkinSource) through the recipe in docs/howto/recipes.md: condition, S of all renderers.
 
 python benchmarks/skinsource_import.py [FOLDER] [--figure FILE.png] [--write]
 
-``--write`` puts the table into docs/measurement.md. The data are not part of the project.
+``--write`` puts the table into docs/howto/recipes.md. The data are not part of the project.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from forearm_fem.show.calibration import plot_entries
 from forearm_fem.transfer import TransferMatrix
 
 ROOT = Path(__file__).parents[1]
-DOCS = ROOT / "docs" / "measurement.md"
+DOCS = ROOT / "docs" / "howto" / "recipes.md"
 SHARED = ROOT.parent / "shared" / "data" / "skinsource"
 
 

@@ -76,6 +76,7 @@ html_theme = "furo"
 html_title = f"forearm_fem {release}"
 html_static_path = ["_static"]
 html_css_files = ["manual.css"]
+html_search_scorer = str(HERE / "_static" / "search_scorer.js")  # who looks for "spacing" has a question
 html_show_sphinx = False
 html_copy_source = False
 templates_path: list[str] = []

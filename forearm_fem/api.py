@@ -55,7 +55,7 @@ def render(
 def compare(
     a: str | Path | TransferMatrix, b: str | Path | TransferMatrix, *, scenario: Scenario | None = None, **options: Any
 ) -> CompareResult:
-    """How far apart two G are: per entry, over the band, in S and in dispersion (:func:`.run_compare`)."""
+    """Distance of two G: per entry, over the band, in S and in dispersion (:func:`.run_compare`)."""
     from .questions.compare.run import run_compare
 
     return run_compare(a, b, scenario=scenario, **options)

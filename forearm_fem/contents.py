@@ -19,7 +19,7 @@ _LONGEST_POINTER = 1024  # bytes
 
 
 def stand_in(content: bytes) -> str:
-    """What ``content`` is in the place of the file meant, and the cure; "" where it is none of what is known."""
+    """Name of what ``content`` is instead of the file meant, and the cure; "" for unknown content."""
     head = content[:_LONGEST_POINTER].lstrip()
     if pointer := _POINTER.match(head):
         return f"is a Git LFS pointer to {int(pointer[2])} bytes, not the file itself; fetch it with `git lfs pull`"

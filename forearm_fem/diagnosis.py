@@ -1,4 +1,4 @@
-"""What this machine offers: versions, solver, threads, memory, rendering."""
+"""Diagnosis of this machine: versions, solver, threads, memory, rendering."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def diagnosis() -> dict[str, str]:
 
 
 def _cache() -> str:
-    """Where finished meshes and solves are kept, and how much lies there."""
+    """Folder of finished meshes and solves, and its size."""
     folder = default_cache_dir()
     above = next(path for path in (folder, *folder.parents) if path.exists())
     if not above.is_dir() or not os.access(above, os.W_OK):

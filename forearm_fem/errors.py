@@ -77,7 +77,7 @@ class DataError(ForearmError):
 
 
 class NotApplicable(DataError):
-    """What was asked for means nothing for this run, e.g. a figure of a method that was not rendered."""
+    """Request that means nothing for this run, e.g. a figure of a method that was not rendered."""
 
 
 class HardwareError(ForearmError):

@@ -34,7 +34,7 @@ def refuse_unguarded_script() -> None:
 
 
 def _guarded(file: Path, line: int) -> bool:
-    """Whether ``line`` of ``file`` lies below a test of ``__name__``, or the file is none that can be told."""
+    """True if ``line`` of ``file`` lies below a test of ``__name__``, or the file is none that can be told."""
     try:
         tree = ast.parse(file.read_bytes())
     except (SyntaxError, ValueError, OSError):

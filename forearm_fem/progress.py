@@ -1,4 +1,4 @@
-"""How long work tells its caller how far it is: one signature for the whole package, and the time left of a job."""
+"""Progress of long work: one signature for the whole package, and the time left of a job."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Journey:
         return None if left is None else gone / max(gone + left, 1e-9)
 
     def ended(self, now: float) -> dict[str, float]:
-        """What the next run of the job learns: a stage that reused results keeps its older, larger account."""
+        """Account for the next run of the job: a stage that reused results keeps its older, larger account."""
         self._charge(now)
         fresh = {s: t if t >= self.learnt.get(s, 0.0) / 2 else self.learnt[s] for s, t in self.spent.items()}
         return {**fresh, **{s: t for s, t in self.learnt.items() if s not in fresh and len(fresh) < len(self.learnt)}}

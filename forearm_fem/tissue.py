@@ -44,7 +44,7 @@ class Law:
 
     @property
     def problem(self) -> str:
-        """Why the parameters cannot be, as "key: sentence"; empty where they can."""
+        """Reason that the parameters cannot be, as "key: sentence"; empty where they can."""
         return ""
 
     def at(self, omega: ArrayLike) -> ComplexArray:
@@ -116,7 +116,7 @@ class SpringPot(Law):
 
     @property
     def problem(self) -> str:
-        """Why the parameters cannot be; empty where they can."""
+        """Reason that the parameters cannot be; empty where they can."""
         return "eta: a springpot without viscosity has no stiffness either; set eta > 0 Pa s" if self.eta == 0 else ""
 
     def at(self, omega: ArrayLike) -> ComplexArray:
@@ -160,7 +160,7 @@ class Zener(Law):
 
     @property
     def problem(self) -> str:
-        """Why the parameters cannot be; empty where they can."""
+        """Reason that the parameters cannot be; empty where they can."""
         can = self.mu_infinity > self.mu
         return "" if can else f"mu_infinity: must exceed mu = {self.mu:g} Pa, is {self.mu_infinity:g}"
 
@@ -228,7 +228,7 @@ class Tissue:
 
     @property
     def incompressible(self) -> bool:
-        """Whether the bulk modulus is infinite."""
+        """True if the bulk modulus is infinite."""
         return math.isinf(self.bulk)
 
     def wavenumber(self, omega: ArrayLike) -> ComplexArray:

@@ -100,7 +100,7 @@ class ErrorEstimate:
 
     @property
     def known(self) -> bool:
-        """Whether the estimate could be made."""
+        """True if the estimate could be made."""
         return bool(np.isfinite(self.band))
 
 

@@ -27,7 +27,7 @@ def private_temporary(end: str = "") -> Path:
 
 
 def is_writable(folder: Path) -> bool:
-    """Whether it is there or can be made, is nobody else's (code that lies in it is run), and takes a file."""
+    """True if it is there or can be made, is nobody else's (code that lies in it is run), and takes a file."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if hasattr(os, "getuid") and folder.stat().st_uid != os.getuid():

@@ -22,7 +22,7 @@ _SHORT = re.compile(r"^([A-Za-z_][\w.]*):([A-Za-z_]\w*)$")
 
 
 def is_code(text: object) -> bool:
-    """Whether ``text`` names user code."""
+    """True if ``text`` names user code."""
     return isinstance(text, str) and re.match(PATTERN, text) is not None
 
 

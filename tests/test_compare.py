@@ -20,6 +20,7 @@ from forearm_fem.questions.compare.agreement import agreement, fdac_matrix, wher
 from forearm_fem.questions.compare.compare import compare, comparison_record
 from forearm_fem.questions.compare.crossplay import cross_play, wavelet_for
 from forearm_fem.questions.compare.report import (
+    answer_lines,
     as_csv,
     as_json,
     as_markdown,
@@ -156,6 +157,7 @@ def test_the_scale_of_an_arbitrary_gain_is_said_to_mean_nothing():
     assert compare(A, b, render=False).notes[0].startswith("the gain of B is arbitrary, as was declared: FRAC, phases")
     assert compare(b, A, render=False).notes[0].startswith("the gain of A is arbitrary")
     assert compare(A, A, render=False).notes == ()
+    assert "overall FRAC 1.00" in answer_lines(compare(A, b, render=False))[0]  # and no percentage of nothing
 
 
 def test_masked_entries_stay_out_of_everything():

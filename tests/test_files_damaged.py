@@ -344,9 +344,9 @@ def _(tmp):
     return sweep_of(written_sweep(tmp, drive, np.ones(2000)))
 
 
-@case("TDMS sweep: a channel in millivolts", "expected volts")
+@case("TDMS sweep: a channel in pascals", "expected volts")
 def _(tmp):
-    return sweep_of(written_sweep(tmp, np.ones(2000), np.ones(2000), unit_string="mV"))
+    return sweep_of(written_sweep(tmp, np.ones(2000), np.ones(2000), unit_string="Pa"))
 
 
 @case("TDMS sweep: cut short", "cut short")

@@ -340,7 +340,7 @@ def test_sweeps_in_newtons_and_millimetres_a_second_need_no_sensor(tmp_path):
 def test_sweeps_that_begin_in_silence_say_so(tmp_path):
     n, step = 200, 1e-3
     tone = np.sin(2 * np.pi * np.arange(n) * 5 / n)
-    file = tdms(tmp_path / "s.tdms", {"ao": np.r_[np.zeros(n), tone, tone], "ai": np.ones(3 * n)}, 1 / step)
+    file = tdms(tmp_path / "s.tdms", {"ao ": np.r_[np.zeros(n), tone, tone], "ai": np.ones(3 * n)}, 1 / step)
     names = {"drive": "sweep/ao", "response": "sweep/ai", "output": "1", "input": "A1", "period": n}
     with pytest.raises(DataError, match=r"silent in its first period of 200 samples; .*skip=0\.2"):
         files.read_sweep(file, **names)

@@ -399,8 +399,8 @@ def test_skinsource_by_the_recipe_in_the_docs():
 
 
 def recipe_in_docs():
-    """The recipe as docs/measurement.md prints it."""
-    text = (Path(__file__).parents[1] / "docs" / "measurement.md").read_text(encoding="utf-8")
+    """The recipe as docs/howto/recipes.md prints it."""
+    text = (Path(__file__).parents[1] / "docs" / "howto" / "recipes.md").read_text(encoding="utf-8")
     return ImportRecipe.model_validate(tomllib.loads(text.split("# recipe: skinsource")[1].split("```")[0]))
 
 

@@ -382,7 +382,7 @@ def test_impossible_options_are_refused():
     [(60.0, (3.16, 2.20, 4.04)), (40.0, (2.89, 2.20, 3.84)), (20.0, (1.82, 2.20, 2.60))],
 )
 def test_thesis_size_loop_on_the_layered_twin(tmp_path, snr_db, strengths):
-    """981 bins at 10 kHz, the default forearm as the layered twin sees it: docs/measurement.md, second
+    """981 bins at 10 kHz, the default forearm as the layered twin sees it: docs/theory/estimator.md, second
     table.
     """
     scenario = parse_scenario({})

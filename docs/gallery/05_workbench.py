@@ -1,9 +1,9 @@
 """
-Touch the waves
-===============
+The workbench
+=============
 
-The run as a page in which its model goes on working: click a point on an arm, hold others still, change the stimulus or
-the coils, and see all three methods answer. Below is the page itself, alive. On the command line
+The run as a page whose model goes on computing: click a point on an arm, hold others still, change the stimulus or the
+coils, and see all three methods answer. Below is the page itself, alive. On the command line
 ``forearm-fem workbench results/quick``; in a notebook ``view("results/quick")`` as the last line of a cell.
 """
 

@@ -51,7 +51,7 @@ class NumericalDispersion:
     def of(
         cls, scenario: Scenario, mesh: TissueMesh, outputs: tuple[Port, ...], inputs: tuple[Port, ...]
     ) -> NumericalDispersion:
-        """Those of a scenario's own ``mesh``."""
+        """Numerical dispersion of a scenario's own ``mesh``."""
         order = tetrahedron_orders(mesh, place_ports(scenario, mesh), scenario.element)
         return cls(ElementsNearContacts.of(mesh, order, inputs), tuple(mesh.region_names), distances(outputs, inputs))
 
@@ -89,7 +89,7 @@ class ElementsNearContacts:
 
     @classmethod
     def of(cls, mesh: TissueMesh, order: IntArray, contacts: tuple[Port, ...]) -> ElementsNearContacts:
-        """Those within ``REACH`` along the skin."""
+        """Elements within ``REACH`` of the ``contacts`` along the skin."""
         corners = mesh.points[mesh.tetrahedra]
         edges = corners[:, EDGES[:, 0]] - corners[:, EDGES[:, 1]]
         size = np.sqrt((edges**2).sum(axis=2).mean(axis=1))
@@ -149,7 +149,8 @@ class DiscretisationError:
 def discretisation_error(
     other: ComplexArray, own: ComplexArray, frequency: FloatArray, ratio: float, lag: FloatArray, coarser: FloatArray
 ) -> DiscretisationError:
-    """The one rule for ``own`` values (n_frequency, n_out, n_in), of a scene, of an arm, of a case of verification.
+    """Discretisation error of ``own`` values (n_frequency, n_out, n_in): the one rule for scenes, arms and
+    verification.
 
     ``other`` values are those on the second mesh, whose nodes are ``ratio`` times as far apart; waves arrive with a
     ``lag`` [rad] on the mesh itself, and ``coarser`` on the coarser of the two, both shaped like the values.
@@ -272,8 +273,9 @@ def over_pairs(error: FloatArray, other: ComplexArray, own: ComplexArray, freque
 
 
 def spread_change(other: ComplexArray, own: ComplexArray, frequency: FloatArray) -> FloatArray:
-    """How ``other`` values differ from ``own`` (n_frequency, n, n) at each pair over the third of an octave on either
-    side: the shape over pairs of an error whose size :func:`estimated_errors` tells. Unknown pairs do not differ."""
+    """Difference of ``other`` from ``own`` values (n_frequency, n, n) at each pair, in the mean over a third of an
+    octave on either side: the shape over pairs of an error whose size :func:`estimated_errors` tells. Unknown pairs
+    count as equal."""
     change = np.abs(np.nan_to_num(other - own)).reshape(len(frequency), -1)
     rows = [np.sqrt(_around(column**2, frequency)) for column in change.T]
     return np.array(rows).T.reshape(own.shape)

@@ -79,7 +79,7 @@ class PairErrors:
     shares: FloatArray
 
     def of(self, found: Compliance) -> FloatArray:
-        """What ``found`` may miss (n, n_port, n_port) [m/N]: shares linear between probes, the ends' beyond."""
+        """Error of ``found`` (n, n_port, n_port) [m/N]: shares are linear between probes and constant beyond."""
         between = np.array([np.interp(found.frequency, self.probes, e) for e in np.eye(len(self.probes))])
         points, contacts = found.indices("point"), found.indices("contact")
         block = found.values[:, points or contacts][:, :, contacts or points]
@@ -87,7 +87,7 @@ class PairErrors:
         return np.asarray(np.tensordot(between.T, self.shares, 1) * size[:, None, None])
 
 
-# What an error of G means for S.
+# Effect of an error of G on S.
 
 APART = 0.3  # of a pair's error by the mesh: what other pairs do not share
 _WAVES = 64  # random cosines that make up one perturbation
@@ -189,7 +189,7 @@ def smooth_noise(
     return np.asarray(np.tensordot(np.exp(1j * np.outer(frequency, tau)), amplitude / np.sqrt(2 * _WAVES), axes=1))
 
 
-# What an answer of a library states of its own errors: interpolation, the twin, contacts, the reduced model.
+# Errors of a library's answer by its own estimates: interpolation, layered model, contacts, reduced model.
 
 
 def stated_errors(
@@ -209,7 +209,8 @@ def stated_errors(
     frequency = tuple(found.frequency.tolist())
 
     def by_entry(source: ErrorSource, off: FloatArray, method: str) -> ErrorEstimate:
-        """What each entry is ``off`` by, as an estimate: beside the largest at each frequency, and over the band."""
+        """Estimate from the error ``off`` of each entry: relative to the largest at each frequency, and over the
+        band."""
         off = off[:, rows][:, :, columns]
         each = tuple((off.max(axis=(1, 2)) / size).tolist())
         return ErrorEstimate(source, float(np.linalg.norm(off) / np.linalg.norm(values)), method, frequency, each)

@@ -112,7 +112,7 @@ def _interrupted() -> NoReturn:
 
 
 def _was_interrupted(problem: BaseException | None) -> bool:
-    """Whether Ctrl-C stands behind a ``problem``: compiled code makes a SystemError of it."""
+    """True if Ctrl-C stands behind a ``problem``: compiled code makes a SystemError of it."""
     while problem is not None and not isinstance(problem, KeyboardInterrupt):
         problem = problem.__cause__ or problem.__context__
     return problem is not None

@@ -1,4 +1,4 @@
-"""What commands share: argument types, a stage run with progress bars, notes, G from a file or folder."""
+"""Parts shared by commands: argument types, a stage run with progress bars, notes, G from a file or folder."""
 
 from __future__ import annotations
 
@@ -216,7 +216,7 @@ def transfer_file(what: Path) -> Path:
 
 
 def is_g(what: Path) -> bool:
-    """Whether ``what`` is meant as a G: a folder, a file of a kind that holds one, or a recipe that reads one."""
+    """True if ``what`` is meant as a G: a folder, a file of a kind that holds one, or a recipe that reads one."""
     if what.suffix.lower() != ".toml":
         return what.is_dir() or bool(what.suffix)
     try:

@@ -134,7 +134,7 @@ def _calibrated(
     with Display() as display, noted(), stop_on_ctrl_c() as stop:
 
         def operator(where: str) -> bool:
-            """Whether to measure there: waits for Enter where an operator is to be asked."""
+            """True if it is to be measured there: waits for Enter where an operator is to be asked."""
             if not ask:
                 return True
             console.print(f"{where}; Enter to measure, q to stop", highlight=False)
@@ -252,7 +252,8 @@ def compare(
     ] = None,
     render: Annotated[bool, typer.Option(help="play the drives designed on one through the other")] = True,
 ) -> None:  # fmt: skip
-    """Which device is better and where, or where two G of one device differ and why."""
+    """Comparison of two devices (which is better, and where), or of two G of one device (where they differ, and
+    why)."""
     with noted(), Display() as display:
         display("libraries", 0, 1)  # seconds of a slow or busy machine
         scene, said = scene_of(scenario), (declaration(declare_a), declaration(declare_b))

@@ -156,7 +156,7 @@ def _print_answer(job: Run) -> None:
 
 
 def _expected(asked: Scenario, base: Path, display: Display | None = None) -> Forecast | None:
-    """What the solve will cost, on the mesh, which is made if need be; None for the layered engine."""
+    """Forecast of the solve's cost, on the mesh, which is made if need be; None for the layered engine."""
     if asked.engine != "fem":
         return None
     from ..engines.forecast import forecast

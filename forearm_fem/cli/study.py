@@ -186,7 +186,7 @@ def stimuli(
 
 @app.command()
 def status(file: StudyFile, data: Answers = None) -> None:
-    """Who has answered how much."""
+    """Answers given so far, by participant."""
     from ..study.run import Prepared, statuses
 
     store = Prepared.of(file, data).store()
@@ -235,7 +235,7 @@ def power(
                      "default: the pilot's effect"),
     ] = None,
 ) -> None:  # fmt: skip
-    """How many participants find the effect of a pilot, or the least that matters, and how sure that is."""
+    """Number of participants that finds the effect of a pilot, or the least that matters, and its interval."""
     from ..study.analysis import cells, with_errors
     from ..study.handover import answers as answers_of
     from ..study.power import power_curve, size_of_least, size_of_pilot

@@ -13,12 +13,12 @@ from ..transfer import UNITS, Compliance, ErrorEstimate, TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .response import contact_flexibility, contact_map, contact_ports, drive_gains, in_contact, lever_matrix, respond
 
-# What the contacts do per unit drive: one result for voltage, force and displacement drive.
+# Contacts per unit drive: one result for voltage, force and displacement drive.
 
 
 @dataclass(frozen=True)
 class ContactState:
-    """What the skin feels per unit drive; arrays (n_frequency, n_actuator, n_input), "unit" V, N or m.
+    """Contact forces and motions per unit drive; arrays (n_frequency, n_actuator, n_input), "unit" V, N or m.
 
     ``force`` F on the skin [N/unit], ``contacts`` displacement of the cones [m/unit], ``reaction`` S [N/m]
     the loss of force when the skin is raised: a change dC of the compliance gives dF = -S dC_cc F. ``carried``
@@ -85,7 +85,7 @@ _STATES: Mapping[str, Callable[[Compliance, Device], ContactState]] = MappingPro
 )
 
 
-# How errors of the compliance become errors of G: first order, entry by entry, no sampling.
+# Errors of G by errors of the compliance: first order, entry by entry, no sampling.
 # G = C_pc F + K, K what points follow of the housing, with dF = -S dC_cc F and dK = -R dC_cc F give dG = dC_pc F -
 # (C_pc S + R) dC_cc F. The entries of dC are taken as independent, of zero mean and of one size per block: e(f)
 # max|block| for e(f), e_band times the block's root mean square for the band norm. The squares of their effects add;

@@ -32,7 +32,7 @@ class PowerBalance:
 
 
 def power(compliance: Compliance, device: VoltageDevice, drives: ComplexArray) -> PowerBalance:
-    """Where the electrical power of ``drives`` (n_frequency, n_actuator) [V, peak] goes, ``device.gains`` included."""
+    """Balance of the electrical power of ``drives`` (n_frequency, n_actuator) [V, peak], ``device.gains`` included."""
     response = respond(compliance, device)
     _refuse_unlike(response, drives)
     drives = drives * drive_gains(device, drives.shape[1])

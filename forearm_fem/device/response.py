@@ -94,7 +94,7 @@ def dynamic_stiffness(housing: AnyHousing, omega: FloatArray) -> ComplexArray:
 
 
 def carries_points(device: Device) -> bool:
-    """Whether the skin at the points follows a share of the housing's motion (``device.housing.skin_share``)."""
+    """True if the skin at the points follows a share of the housing's motion (``device.housing.skin_share``)."""
     return isinstance(device, VoltageDevice) and device.housing.skin_share > 0
 
 
@@ -109,7 +109,7 @@ def carries_points(device: Device) -> bool:
 
 @dataclass(frozen=True)
 class DeviceResponse:
-    """What every part of the device does per volt on each actuator, (n_frequency, n_actuator, n_input).
+    """Motions, forces and currents of all parts of the device per volt, (n_frequency, n_actuator, n_input).
 
     The amplifiers are voltage sources: the actuators not driven are held at 0 V, not disconnected.
     """
@@ -166,7 +166,7 @@ def contact_ports(compliance: Compliance, device: ActuatorArray) -> tuple[Port, 
 
 
 def in_contact(device: ActuatorArray, n: int) -> BoolArray:
-    """Which of the actuators A1..An touch the skin (n,)."""
+    """True where an actuator of A1..An touches the skin (n,)."""
     return np.array([f"A{i + 1}" not in device.out_of_contact for i in range(n)])
 
 

@@ -66,7 +66,7 @@ class ArmMeshes:
         ), PairErrors(frequency, shares)  # fmt: skip
 
     def share(self, arm: Scenario, found: Compliance) -> FloatArray:
-        """What the elements err by (n_frequency,), as e(f) in shares of that of the change on the second mesh.
+        """Mesh error (n_frequency,), as e(f) in shares of that of the change on the second mesh.
 
         It is found at every frequency of ``found``: meant for tens of them.
         """

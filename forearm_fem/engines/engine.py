@@ -26,7 +26,7 @@ class Engine(Protocol):
         ...
 
     def holds(self, scenario: Scenario) -> str:
-        """Why it cannot answer for ``scenario``, a sentence with the remedy; empty where it can.
+        """Reason, a sentence with the remedy, that it cannot answer for ``scenario``; empty where it can.
 
         What shows only while it works, such as ports beside the limb, is raised there.
         """

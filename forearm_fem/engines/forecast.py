@@ -75,7 +75,7 @@ class _MemoryWatch(threading.Thread):
         self.join()
 
 
-# What a scenario will cost and how well its mesh carries the waves, before anything is solved.
+# Forecast of a scenario's cost and of its mesh's resolution, before anything is solved.
 
 NODES_NEEDED = 6.0  # per shear wavelength near the ports; below it the error of far entries passes 10 %
 
@@ -108,8 +108,8 @@ class Forecast:
     doubts: tuple[str, ...] = ()
 
     def sentences(self, f_max: float) -> tuple[str, ...]:
-        """What the mesh cannot carry: a sentence per tissue with too few nodes near the ports; before these what makes
-        doubt of the user's own limb."""
+        """Doubts of the user's own limb, then a sentence per tissue with too few nodes per wavelength near the
+        ports."""
         few = tuple(
             f"{r.tissue}: {r.per_wavelength_near_ports:.1f} nodes per shear wavelength near the ports at {f_max:g} Hz, "
             f"need {NODES_NEEDED:g}; lower mesh.size_grid and mesh.grading, or sweep.f_max at these sizes"
@@ -154,8 +154,7 @@ def forecast(
 
 
 def doubts_of(scenario: Scenario, mesh: TissueMesh) -> tuple[str, ...]:
-    """What makes doubt that the user's own limb is what was meant: turned, not cut, upside down, two files
-    exchanged."""
+    """Doubts that the user's own limb is the one meant: turned, not cut, upside down, two files exchanged."""
     limb, found = scenario.limb, list[str]()
     if not isinstance(limb, SurfacesLimb | MeshLimb):
         return ()

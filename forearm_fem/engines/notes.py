@@ -19,7 +19,7 @@ from ..scenario.sweep import FrequencyList, frequencies
 from ..transfer import finite
 from .layered import solve_layered
 
-# Whether chosen frequencies lie close enough to fill the bins between them, told before anything is solved.
+# Spacing of chosen frequencies, close enough or not to fill the bins between them, before anything is solved.
 
 _ON_BIN = 1e-3  # of a bin: as for G's own samples
 
@@ -46,7 +46,7 @@ def check_samples(scenario: Scenario) -> None:
 
 
 def sample_notes(scenario: Scenario) -> tuple[str, ...]:
-    """That it shows after the solve only whether the user's own limb has frequencies close enough to render on."""
+    """Note that only the solve tells whether the user's own limb has frequencies close enough to render on."""
     if not _between(scenario) or not isinstance(scenario.limb, MeshLimb | SurfacesLimb):
         return ()
     return (
@@ -56,7 +56,7 @@ def sample_notes(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _between(scenario: Scenario) -> bool:
-    """Whether something is rendered on bins that lie between chosen frequencies."""
+    """True if something is rendered on bins that lie between chosen frequencies."""
     sweep = scenario.sweep
     if not isinstance(sweep, FrequencyList) or not scenario.rendering.methods:
         return False
@@ -67,7 +67,7 @@ def _between(scenario: Scenario) -> bool:
     return bool((nearest > _ON_BIN).any())
 
 
-# What a reader of the results should know of the model and of the actuator behind them.
+# Remarks on the model and the actuator for a reader of the results.
 
 
 def scene_notes(scenario: Scenario) -> tuple[str, ...]:
@@ -77,7 +77,7 @@ def scene_notes(scenario: Scenario) -> tuple[str, ...]:
 
 
 def model_notes(solution: SolutionRecord) -> tuple[str, ...]:
-    """That the reduced model is good for frequencies of the band only, where it has unstable poles.
+    """Note that a reduced model with unstable poles is good for frequencies of the band only.
 
     That takes incompressible tissue and single precision; outside the band such a model refuses (:mod:`.skin_model`).
     """
@@ -109,7 +109,7 @@ def engine_notes(scenario: Scenario) -> tuple[str, ...]:
 
 
 def lifted_notes(scenario: Scenario) -> tuple[str, ...]:
-    """That funneling, whose shares follow from places alone, drives actuators that do not touch the skin."""
+    """Note that funneling drives actuators that do not touch the skin: its shares follow from places alone."""
     lifted, shared = scenario.device.out_of_contact, {"funneling", "combination"} & set(scenario.rendering.methods)
     if not lifted or not shared:
         return ()
@@ -142,7 +142,7 @@ def _lie(points: Sequence[str]) -> str:
 
 
 def actuator_notes(scenario: Scenario) -> tuple[str, ...]:
-    """What a preset other than the thesis' can be used for, what its source does not say, and a band beyond its own."""
+    """Notes on an actuator preset other than the thesis': its use, gaps of its source, and a band beyond its own."""
     device, sweep = scenario.device, scenario.sweep
     known = ACTUATORS[device.actuator]
     if not known.keys:

@@ -56,7 +56,7 @@ _MIDDLE = 0.5
 
 @dataclass(frozen=True)
 class Ranges:
-    """What arms may differ in, around a scenario: uniform in the logarithm, tension uniform.
+    """Ranges of arms around a scenario: uniform in the logarithm, tension uniform.
 
     ``moduli`` multiplies or divides mu and eta of each soft tissue (a springpot's size at 100 Hz); ``tension`` [N/m];
     ``laws`` in turn, whose classes say what is near to the scenario's.
@@ -122,7 +122,7 @@ class ParametricModel:
 
     @property
     def factor(self) -> float:
-        """What estimates are multiplied with: the largest ratio of a true to an estimated error among the checks."""
+        """Safety factor of estimates: the largest ratio of a true to an estimated error among the checks."""
         return max([1.0, *(c.true / c.estimated for c in self.checks if c.estimated > 0)])
 
     @property
@@ -131,7 +131,7 @@ class ParametricModel:
         return replace(self, pieces=tuple(replace(p, whole=p.core) for p in self.pieces))
 
     def follows(self, scenario: Scenario) -> bool:
-        """Whether the grid of ``scenario`` can be read where it lies."""
+        """True if the grid of ``scenario`` can be read where it lies."""
         if scenario.grid.direction != self.scenario.grid.direction:
             return False
         own = scenario.grid.places == self.scenario.grid.places
@@ -201,8 +201,8 @@ class ParametricModel:
         return replace(reduced, functionals=functionals)
 
     def _answered(self, drawn: Piece, rough: ReducedModel, frequency: FloatArray) -> _Answer:
-        """What a ``drawn`` piece says at ``frequency`` (n,), how far it may be off between, and what its core and the
-        model of ``rough`` points say."""
+        """Answer of a ``drawn`` piece at ``frequency`` (n,): values, interpolation error, and values of its core and
+        of the model of ``rough`` points."""
         system, moved = Summed.of(drawn.whole), rough is not drawn.whole
         if len(frequency) <= _NODES:
             values, between = system.compliance(frequency), np.zeros((len(self.ports),) * 2)
@@ -272,8 +272,12 @@ class ParametricModel:
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
-    """What a piece says of a draw: ``values`` at the frequencies asked, which miss ``between`` (n_port, n_port) of the
-    largest entry between nodes, and ``whole``, ``core`` and ``rough`` at ``probes``."""
+    """Answer of a piece for one draw.
+
+    ``values``: at the frequencies asked.
+    ``between`` (n_port, n_port): interpolation error over the largest entry between nodes.
+    ``whole``, ``core``, ``rough``: values at ``probes`` of the piece, its core and the model of rough points.
+    """
 
     values: ComplexArray
     between: FloatArray

@@ -63,7 +63,7 @@ def second_mesh(scenario: Scenario, mesh: TissueMesh, *, base: Path) -> Second:
 
 
 def _differs(scenario: Scenario, mesh: TissueMesh, other: TissueMesh, ratio: float) -> bool:
-    """Whether all rims of rigid contacts differ by 0.4 of what ``ratio`` asks for at least: bisection halves edges."""
+    """True if all rims of rigid contacts differ by 0.4 of what ``ratio`` asks for at least: bisection halves edges."""
     if scenario.device.cone.contact not in RIGID:
         return True
     names = [name.removeprefix("contact ") for name in mesh.facets if name.startswith("contact ")]

@@ -124,7 +124,7 @@ def simulate(
 
 
 def provenance(found: Simulation) -> dict[str, Any]:
-    """What a G came from: scenario, versions, direct solver, mesh hash."""
+    """Provenance of a G: scenario, versions, direct solver, mesh hash."""
     return {
         "program": f"forearm_fem {__version__}",
         "scenario": found.scenario.model_dump(mode="json"),

@@ -145,7 +145,7 @@ def with_scenario(reduced: ReducedModel, scenario: Scenario) -> ReducedModel:
 
 
 def coefficients_of(names: Sequence[str], scenario: Scenario) -> tuple[Coefficient, ...]:
-    """What ``scenario`` multiplies the terms of these ``names`` with."""
+    """Coefficients of the terms ``names`` in ``scenario``."""
     tissues, sheets = resolve_tissues(scenario), scenario.tissues
     return tuple(term_coefficient(n, tissues, scenario.supports, sheets.membrane, sheets.patch) for n in names)
 
@@ -212,7 +212,8 @@ def check_followable(before: Scenario, after: Scenario, terms: Sequence[str], *,
 
 
 def unfollowed(before: Scenario, after: Scenario, terms: Sequence[str], *, unread: Collection[str] = ()) -> str:
-    """Why a reduced model of ``terms``, made for one scenario, cannot answer for the other; empty where it can.
+    """Reason that a reduced model of ``terms``, made for one scenario, cannot answer for the other; empty where it
+    can.
 
     Keys that are ``unread`` by the caller may differ, too.
     """
@@ -240,7 +241,7 @@ def unfollowed(before: Scenario, after: Scenario, terms: Sequence[str], *, unrea
 
 
 def _sheets(scenario: Scenario) -> dict[str, float]:
-    """What lies on the skin, by the name of its term."""
+    """Sheets on the skin, by the name of their term."""
     sheet, patch = scenario.tissues.membrane, scenario.tissues.patch
     return {
         "skin mass": sheet.mass,

@@ -130,7 +130,7 @@ def solve(
 
 
 def _missing(why: object, cut: bool) -> tuple[ErrorEstimate, ...]:
-    """What a second mesh would have told: of the elements, and of the ends where the limb is ``cut``."""
+    """Estimates that lack a second mesh: of the elements, and of the ends where the limb is ``cut``."""
     discretisation = ErrorEstimate("discretisation", np.nan, f"not estimated: {why}")
     return (discretisation, replace(discretisation, source="truncation")) if cut else (discretisation,)
 
@@ -219,7 +219,7 @@ class _Kept:
 
 
 class _Store:
-    """What is finished of one solve, and on a shelf of its own the expansions that its main part comes from."""
+    """Store of one solve's finished parts, and of the expansions of its main part on a shelf of its own."""
 
     def __init__(self, key: str) -> None:
         home = default_cache_dir() / "solves"

@@ -1,4 +1,4 @@
-"""What a file of somebody else says of itself, what its owner declares, and what neither says: nothing is guessed."""
+"""Meaning of a foreign file: by its own words, or declared by its owner; nothing is guessed."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class PortDeclaration(Part):
 
 
 class Declaration(Part):
-    """What the user knows about a file. Left out: the file must say it itself, or a DataError asks."""
+    """Declaration of a file's meaning by its user. Left out: the file must say it itself, or a DataError asks."""
 
     reader: UserCode | None = Field(
         default=None, description="your own class that reads the file, as module:Name: a format of your own"
@@ -99,9 +99,9 @@ EVERY = frozenset({
     "reader", "quantity", "unit", "arbitrary_gain", "spectrum", "sign", "band", "outputs", "inputs", "points",
     "actuators", "roving",
 })  # fmt: skip
-"""What may be declared of a file of any kind."""
+"""Keys of a declaration of any file."""
 SWEEPS = frozenset({"drive", "response", "drive_is_measured", "full_scale", "skip"})
-"""What may be declared of raw sweeps alone."""
+"""Keys of a declaration of raw sweeps alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +207,7 @@ def declared_by(option: str) -> Iterator[None]:
 
 
 def arbitrary_gain(provenance: Mapping[str, Any]) -> dict[str, str]:
-    """What of ``provenance`` says that a G's scale is unknown: ``{"gain": "arbitrary"}``, or nothing."""
+    """Part of ``provenance`` that says that a G's scale is unknown: ``{"gain": "arbitrary"}``, or nothing."""
     return {"gain": "arbitrary"} if provenance.get("gain") == "arbitrary" else {}
 
 

@@ -124,7 +124,7 @@ def _rows(result: Any, rows: Any) -> dict[str, Any]:
 
 
 def _odd(raw: RawMatrix, outputs: tuple[Port, ...], inputs: tuple[Port, ...]) -> str:
-    """What ``raw`` (frequency, output, input) can hardly be meant to be, and what then; "" for nothing."""
+    """Doubt of the meaning of ``raw`` (frequency, output, input), and the likelier one; "" for none."""
     if raw.frequency is not None and 0 < (last := float(np.max(raw.frequency))) < _SLOW:
         return f"its frequencies end at {last:g} Hz; if they are kilohertz, nothing that is made of this G holds"
     finite = np.nan_to_num(raw.values)
@@ -142,7 +142,7 @@ def _odd(raw: RawMatrix, outputs: tuple[Port, ...], inputs: tuple[Port, ...]) ->
 
 
 def _agreed(raw: RawMatrix, declaration: Declaration, key: str) -> Any:
-    """What the file says, or the declaration, or None; DataError if they differ."""
+    """Value by the file, or the declaration, or None; DataError if they differ."""
     said, declared = getattr(raw, key), getattr(declaration, key)
     both = said is not None and declared is not None
     if both and said != declared and not (key == "unit" and parse_unit(said) == parse_unit(declared)):

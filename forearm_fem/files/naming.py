@@ -100,7 +100,7 @@ def placed_by_name(raw: RawMatrix, outputs: Sequence[Port], inputs: Sequence[Por
 
 
 def strange_names(raw: RawMatrix, outputs: Sequence[Port], inputs: Sequence[Port]) -> str:
-    """What is wrong with the file's names: those that no port has; "" for nothing.
+    """Complaint of names in the file that no port has; "" for none.
 
     Numbers of nodes (``raw.numbered``) none of which is a port's name are none, where there are as many as ports.
     """
@@ -119,7 +119,7 @@ def strange_names(raw: RawMatrix, outputs: Sequence[Port], inputs: Sequence[Port
 
 
 def _columns(raw: RawMatrix, kind: str, named: Sequence[str], known: Sequence[str]) -> list[int]:
-    """Where each of the file's names stands among the ports' names ``known``."""
+    """Positions of the file's names among the ports' names ``known``."""
     if all(n in known for n in named):
         return [known.index(n) for n in named]
     order = ", ".join(f"{a} as {b}" for a, b in zip(named, known, strict=True))

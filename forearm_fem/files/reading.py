@@ -1,4 +1,4 @@
-"""What goes wrong while a file is read, or is told from its shape or names and not declared, in one sentence."""
+"""Errors of reading a file, and shapes or names that leave its meaning open, in one sentence."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ class JoinRecipe(Part):
 
 
 class ImportRecipe(Part):
-    """How to read a data set, what it means, and where it comes from."""
+    """Recipe of a data set: how to read it, its meaning and its source."""
 
     name: str
     source: str = Field(default="", description="citation; ends up in the provenance")

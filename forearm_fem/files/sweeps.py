@@ -76,11 +76,17 @@ def waveforms(file: Path, said: Declaration) -> dict[str, Waveform]:
     refuse_stand_in(file)
     kinds = {".tdms": _tdms, ".lvm": _lvm, ".wav": _wav, ".mat": _vectors, ".npz": _vectors, ".h5": _vectors,
              ".hdf5": _vectors}  # fmt: skip
-    return kinds.get(file.suffix.lower(), _table)(file, said)
+    found = kinds.get(file.suffix.lower(), _table)(file, said)
+    plain = {_spaced(name): w for name, w in found.items()}  # as a terminal shows them
+    return plain if len(plain) == len(found) else found
+
+
+def _spaced(name: str) -> str:
+    return " ".join(name.split())
 
 
 def meaning_of(unit: str) -> tuple[str, float] | None:
-    """What a channel in ``unit`` holds, "V", "N" or a quantity of motion, and its factor to SI; None for others."""
+    """Quantity of a channel in ``unit``, "V", "N" or one of motion, and its factor to SI; None for others."""
     plain = unit.strip()
     if not plain:
         return "V", 1.0
@@ -117,6 +123,7 @@ def read_sweep(
     """
     file = Path(path)
     channels = waveforms(file, said or Declaration())
+    drive, response = _spaced(drive), _spaced(response)
     x, y = (_of_name(file, channels, name) for name in (drive, response))
     (drives, x), (moves, y) = _in_si(file, drive, x, driven=True), _in_si(file, response, y, driven=False)
     step = x.step
@@ -162,7 +169,7 @@ def _resolution(samples: FloatArray) -> float:
 
 
 def _in_si(file: Path, name: str, found: Waveform, *, driven: bool) -> tuple[str, Waveform]:
-    """What a channel holds, and its samples in SI; DataError for a unit that no drive, or no response, has."""
+    """Quantity of a channel, and its samples in SI; DataError for a unit that no drive, or no response, has."""
     meant = meaning_of(found.unit)
     if meant is None or (meant[0] not in ("V", "N") if driven else meant[0] == "N"):
         expected = "volts or newtons" if driven else "volts, or a motion such as m/s^2, g, mm/s or um"
@@ -175,12 +182,12 @@ def _in_si(file: Path, name: str, found: Waveform, *, driven: bool) -> tuple[str
 def channels_of(file: Path, said: Declaration) -> tuple[str, str]:
     """The channels of drive and response in ``file``: as declared, else by usual names, each with a warning."""
     if said.drive is not None and said.response is not None:
-        return said.drive, said.response
+        return _spaced(said.drive), _spaced(said.response)
     channels = waveforms(file, said)
     found = dict[str, str]()
     for what, words in _GUESSED.items():
         if (given := getattr(said, what)) is not None:
-            found[what] = given
+            found[what] = _spaced(given)
             continue
         alike = [c for c in channels if c.rpartition("/")[2].strip().lower() in words]
         if len(alike) == 1:
@@ -276,7 +283,7 @@ def _tdms(file: Path, said: Declaration) -> dict[str, Waveform]:
 
 @contextmanager
 def _complaints() -> Iterator[list[logging.LogRecord]]:
-    """What npTDMS only logs, and prints: among it that a file is cut short."""
+    """Log records of npTDMS, which only logs, for instance, that a file is cut short."""
     heard: list[logging.LogRecord] = []
 
     class Listener(logging.Filter):
@@ -449,7 +456,7 @@ def _float(word: str) -> float:
 
 
 def _said(head: Sequence[str], key: str, otherwise: str) -> str:
-    """What the header says of ``key`` in one word."""
+    """Word of the header under ``key``."""
     for line in head:
         if found := re.match(rf"^{key}[\t, ]+(\S.*?)\s*$", line):
             return found[1].strip(",") if found[1] != "," else ","
@@ -457,6 +464,6 @@ def _said(head: Sequence[str], key: str, otherwise: str) -> str:
 
 
 def _row(head: Sequence[str], key: str, separator: str) -> list[str]:
-    """What the header says of ``key`` for each channel."""
+    """Words of the header under ``key``, one a channel."""
     return next((line.rstrip("\n").split(separator)[1:] for line in reversed(head)
                  if line.split(separator)[0].strip() == key), [])  # fmt: skip

@@ -171,12 +171,12 @@ def read_table(file: Path) -> Table:
 
 
 def _passed_over(line: str) -> bool:
-    """Whether a ``line`` before the header is a comment, or what a spreadsheet says of its separator."""
+    """True if a ``line`` before the header is a comment, or what a spreadsheet says of its separator."""
     return line.startswith(_COMMENT) or line.strip().strip('"').lower().startswith("sep=")
 
 
 def _separator(header: Sequence[str], before: Sequence[str]) -> str:
-    """What separates columns: names of columns hold neither tabs, semicolons nor commas."""
+    """Separator of columns: names of columns hold neither tabs, semicolons nor commas."""
     for found in (re.fullmatch(r'"?sep=(.)"?', line.strip("\n\r "), re.IGNORECASE) for line in before):
         if found and any(found[1] in line for line in header):
             return found[1]
@@ -371,8 +371,7 @@ def _raw(
 
 
 def _other_angle(phase: FloatArray, degrees: bool) -> str:
-    """What to say of ``phase`` (n_frequency, n_out, n_in) that is hardly in ``degrees``, or else in radians; "" for
-    nothing.
+    """Doubt of ``phase`` (n_frequency, n_out, n_in) that is hardly in ``degrees``, or else in radians; "" for none.
 
     In radians it is wrapped into a turn, or changes by less than half a turn between frequencies. Degrees that fill a
     turn of 2 pi, and no more, are radians.

@@ -89,7 +89,7 @@ def _on_users_mesh(
 
 
 def _remedy(mesh: TissueMesh, ports: tuple[Port, ...]) -> str:
-    """What helps where rims cannot be followed: no size asked for makes up for skin edges far longer than a radius."""
+    """Remedy where rims cannot be followed: no size asked for makes up for skin edges far longer than a radius."""
     middles, edges = mesh.points[mesh.facets["skin"]].mean(axis=1), mesh.points[mesh.facets["skin"]]
     for port in (p for p in ports if p.kind == "contact"):
         under = edges[np.argmin(np.linalg.norm(middles - np.asarray(port.position), axis=1))]

@@ -51,7 +51,7 @@ class Disc:
 
     @property
     def rigid(self) -> bool:
-        """Whether the skin under it moves as one."""
+        """True if the skin under it moves as one."""
         return self.contact != "pressure"
 
     @property

@@ -195,7 +195,7 @@ class HankelTable:
         return self.joined(*self.factors(k))
 
     def factors(self, k: Numbers) -> tuple[Numbers, Numbers]:
-        """What :meth:`values` are made of: J_q(kd)/(2 pi) of the distinct (q, d), (n_k, n_waves), and g of the radials,
+        """Factors of :meth:`values`: J_q(kd)/(2 pi) of the distinct (q, d), (n_k, n_waves), and g of the radials,
         (n_k, n_radials)."""
         order, distance, _ = self._waves
         return _waves(order, distance, k) / (2 * math.pi), _transforms(self.radials, k)

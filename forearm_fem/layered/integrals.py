@@ -174,7 +174,7 @@ Modulus = Callable[[FloatArray], ComplexArray]
 
 
 class Medium(NamedTuple):
-    """What the kernels need besides k and omega.
+    """Parameters of the kernels besides k and omega.
 
     The four kernels of the tables are zz, zx, and half the sum and half the difference of xx and yy, in which the
     azimuthal orders of tangential tractions meet (:mod:`forearm_fem.layered.discs`).
@@ -297,7 +297,7 @@ class Integrals:
         return medium.remainders(k, omega, len(self.table.parts) > 1)
 
     def _each(self, make: Callable[[int, slice], ComplexArray]) -> ComplexArray:
-        """What ``make`` gives for each kernel and its columns, side by side."""
+        """Results of ``make`` for each kernel and its columns, side by side."""
         return np.hstack([make(i, part) for i, part in enumerate(self.table.parts)])
 
     def _sums(self, values: list[ComplexArray], weights: Numbers) -> ComplexArray:
@@ -305,7 +305,7 @@ class Integrals:
         return self._each(lambda i, part: product(values[i], weights[:, part]))
 
     def _mean_tail(self, medium: Medium, rules: Rules, end: float, omega: FloatArray) -> ComplexArray:
-        """What the window takes from the mean of the weights over their oscillation: panels by Gauss's rule."""
+        """Loss of the window from the mean of the weights over their oscillation: panels by Gauss's rule."""
         x, w = np.polynomial.legendre.leggauss(10)
         panels = [*_quarters(end), *octaves(2 * end, 2.0**_MEAN_OCTAVES * end)]
         lo, hi = np.array(panels).T

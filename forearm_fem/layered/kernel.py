@@ -63,7 +63,7 @@ class Surface:
 
     @property
     def sheet(self) -> bool:
-        """Whether the sheet resists in-plane strain."""
+        """True if the sheet resists in-plane strain."""
         return self.membrane > 0 or self.viscosity > 0 or self.tension > 0
 
 

@@ -32,7 +32,7 @@ _SPLINES = ("discs", "points")
 
 
 class Column(NamedTuple):
-    """What an integral is but for its distance: kernel, both transforms (their places among the radials), order."""
+    """Integral without its distance: kernel, both transforms (their places among the radials), order."""
 
     kernel: int
     a: int
@@ -75,9 +75,7 @@ class Tabulated:
         Raises GeometryError for discs further apart than the table reaches, and for a point within 0.2 mm of a rim.
         """
         kinds, rows, _ = distinct(discs, discs)
-        terms = terms_of(kinds, self._medium, np.array([self.low, self.high]))
-        system = galerkin(kinds, self.surface, terms, self.orders)
-        a = system.matrix(self._integrals(system))
+        system, a = self.matrix(kinds)
         shown, by_order = system.by_order(a)
         whole = system.free_compliance(shown) if free else by_order[-1]
         judged = np.unique([*range(0, self.omega.size, _FEW), self.omega.size - 1])
@@ -97,6 +95,12 @@ class Tabulated:
         at_ports = np.concatenate([rows, *(grip + each * block for block in range(blocks))]).astype(int)
         values = sampled[:, at_ports][:, :, at_ports]
         return LayeredResult(values, np.zeros(omega.size), truncation, table + np.max(tails, axis=0), 0)
+
+    def matrix(self, discs: Sequence[Disc]) -> tuple[Galerkin, ComplexArray]:
+        """Galerkin's system of ``discs``, and its matrix (n_node, n, n) [m/N] between all their tractions."""
+        terms = terms_of(discs, self._medium, np.array([self.low, self.high]))
+        system = galerkin(discs, self.surface, terms, self.orders)
+        return system, system.matrix(self._integrals(system))
 
     def arrays(self) -> dict[str, FloatArray | IntArray | ComplexArray]:
         """Numbers for a file; :func:`from_arrays` takes them back with the layers."""
@@ -175,7 +179,7 @@ def orders_of(contact: str) -> int:
 def from_arrays(
     arrays: Mapping[str, Any], layers: Sequence[Layer], surface: Surface, radius: float, contact: str
 ) -> Tabulated:
-    """What :meth:`Tabulated.arrays` gave, back; KeyError or ValueError where it is not that."""
+    """Table from the arrays of :meth:`Tabulated.arrays`; KeyError or ValueError for others."""
     keys = {name: [Column(*map(int, row)) for row in arrays[f"{name}_keys"]] for name in ("own", *_SPLINES)}
     discs, points = (
         ({column: i for i, column in enumerate(keys[name])}, BSpline(arrays[f"{name}_t"], arrays[f"{name}_c"], DEGREE))
@@ -237,7 +241,7 @@ def tabulate(
     def counted(count: int) -> None:
         """Tell that ``count`` more distances are done."""
         done[0] += count
-        tell(progress, "tables of the flat twin", done[0], total)
+        tell(progress, "tables of the layered model", done[0], total)
 
     discs, points = (build.over(root, edge, counted) for root, edge in zip(grids, edges, strict=True))
     made = Tabulated(

@@ -1,4 +1,4 @@
-"""What errs alike in each repeat, or in step with their number: the scatter between the repeats does not see it.
+"""Errors common to all repeats, or in step with their number: the scatter between repeats does not see them.
 
 Mains hum of a whole number of cycles a period stands in one bin, with the same phase each time; an offset that drifts
 leaves the same ramp in every period, which falls over the band like 1/f; clocks of output and input that run apart turn
@@ -130,9 +130,12 @@ def response_over(drive: FloatArray, response: FloatArray, band: BoolArray) -> C
 
 
 def off_alike(r: Recording, drive: FloatArray, band: BoolArray) -> FloatArray:
-    """How far (n_bins,) an estimate of response over ``drive`` (n_repeat, n) [V] may be off by what the repeats of
-    ``r`` have in common: lines, the ramp of a drifting offset, and the delay of clocks that run apart, counted from the
-    last period kept back to the beginning, of which one was thrown away. 0 outside ``band`` (n_bins,)."""
+    """Error (n_bins,) of an estimate of response over ``drive`` (n_repeat, n) [V] by what the repeats of ``r`` have
+    in common.
+
+    Lines, the ramp of a drifting offset, and the delay of clocks that run apart, counted from the last period
+    kept back to the beginning, of which one was thrown away. 0 outside ``band`` (n_bins,).
+    """
     value, x = response_over(drive, r.response, band), rfft(drive.mean(axis=0))
     drifted = np.divide(ramp_spectrum(ramp(r.response), r.n), np.abs(x), out=np.zeros(len(x)), where=band)
     late = abs(delay_growth(r, band)) * ((len(r.response) + 1) / 2 + 1)
@@ -141,8 +144,8 @@ def off_alike(r: Recording, drive: FloatArray, band: BoolArray) -> FloatArray:
 
 
 def _beside_lines(y: ComplexArray, x: ComplexArray, band: BoolArray) -> FloatArray:
-    """What lines put into all bins of the ``band`` [V/V]; ``y`` (n_repeat, n_bins) are the spectra of the repeats and
-    ``x`` (n_bins,) is that of the drive.
+    """Contribution of lines to all bins of the ``band`` [V/V]; ``y`` (n_repeat, n_bins) are the spectra of the
+    repeats and ``x`` (n_bins,) is that of the drive.
 
     A line that is off its bin by a part d of a bin turns by that part of a cycle from one repeat to the next, and is
     seen k bins away with d / |k - d| of its size.

@@ -36,9 +36,11 @@ class Step:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be measured: ports, sweep and options; ``inputs`` are the actuators in the order of the
-    outputs' wiring. ``latency_basis`` says how the device's latency is known; ``simulated`` what a virtual device is
-    made of, which no hardware could say of itself.
+    """Plan of a measurement: ports, sweep and options.
+
+    ``inputs``: actuators in the order of the outputs' wiring.
+    ``latency_basis``: source of the device's latency.
+    ``simulated``: parameters of a virtual device, which no hardware could say of itself.
     """
 
     outputs: tuple[Port, ...]

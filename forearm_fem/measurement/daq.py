@@ -21,7 +21,7 @@ from ..typing import FloatArray
 
 @dataclass(frozen=True)
 class Wiring:
-    """What a session on the device needs: physical channels and rate.
+    """Physical channels and rate of a session on the device.
 
     ``input_range`` and ``output_range`` [V] are plus and minus full scale. ``block`` samples are exchanged at a time.
     ``clock`` is what keeps outputs and inputs together: "inputs", "trigger" or a terminal (``measurement.daq.clock``).

@@ -122,7 +122,7 @@ def assemble(
     shape = (len(outputs), len(inputs), len(frequency))
 
     def cube(pick: Any, empty: Any) -> Any:
-        """What is to ``pick`` of each entry, (n, n_out, n_in); ``empty`` where one was not measured."""
+        """Array (n, n_out, n_in) of ``pick`` of each entry; ``empty`` where one was not measured."""
         blank = np.full(len(frequency), empty)
         return np.array([pick(by_name[n]) if n in by_name else blank for n in names]).reshape(shape).transpose(2, 0, 1)
 
@@ -166,7 +166,7 @@ def _copies(entries: Sequence[Entry]) -> tuple[Finding, ...]:
 
 
 def bias_said(measured: Measured) -> str:
-    """What to say of an estimator that noise makes too large in every entry alike; "" for any other.
+    """Sentence on an estimator that noise makes too large in every entry alike; "" for any other.
 
     How much is told by the coherence: 1 / coherence for H2 over H1, its root for Hv.
     """

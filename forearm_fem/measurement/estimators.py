@@ -210,7 +210,7 @@ def _rounded_alike(response: FloatArray, step: float) -> float:
     scatter = float(response.var(axis=0, ddof=1).mean()) / step**2
 
     def left(noise: float) -> float:
-        """What noise of the variance ``noise`` leaves of it, both in squared steps."""
+        """Rest that noise of the variance ``noise`` leaves of it, both in squared steps."""
         return math.exp(-((2 * math.pi) ** 2) * noise) / 12
 
     def too_much(noise: float) -> float:
@@ -234,8 +234,8 @@ def estimate(kind: Estimator, s: Spectra, band: BoolArray, options: MeasurementO
 
 
 def _bias(kind: Estimator, s: Spectra, value: ComplexArray) -> FloatArray:
-    """How far ``value`` (n_bins,) may be from the truth by bias alone: for H2 and Hv its distance from the farther of
-    H1 and H2, between which that lies; else what noise on the drive makes it too small by."""
+    """Bias (n_bins,) of ``value``, at most: for H2 and Hv its distance from the farther of H1 and H2, between which
+    the truth lies; else the loss by noise on the drive."""
     if kind in ("H2", "Hv"):
         return np.asarray(np.maximum(np.abs(value - _h1(s)), np.abs(value - _h2(s))))
     rest = np.maximum(s.xx - s.drive_noise, _LEAST * s.xx)

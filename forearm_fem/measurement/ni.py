@@ -8,7 +8,7 @@ the driver know them, and the rate that the module really makes.
 
 The output is streamed without regeneration behind two silent blocks; if the computer cannot keep up the driver stops
 with an error instead of repeating old samples. Tested against nidaqmx's task interface; not yet on a chassis
-(docs/measurement.md).
+(docs/howto/daq.md).
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ class NiDaq:
 
 
 def _rows(block: FloatArray) -> Any:
-    """As nidaqmx wants it: 2-D for several channels, 1-D for one."""
+    """Samples as nidaqmx wants them: 2-D for several channels, 1-D for one."""
     return np.ascontiguousarray(block if len(block) > 1 else block[0])
 
 

@@ -70,7 +70,7 @@ def play(
     return Played(got.inputs[0], np.abs(signals).max(axis=1), got.played / sample_rate, got.stopped)
 
 
-# How late and how loud a device is: a cable from its first output to its first input, and what came back.
+# Latency and gain of a device: a cable from its first output to its first input, and what came back.
 # The latency is that of output and input together (a round trip): a stimulus reaches the skin some time between none
 # and all of it after it was sent. Gain is what the first input reads over what the first output was told, both at the
 # full scales that the scenario states; it corrects G (:func:`with_latency`), but only a voltmeter tells the volts of
@@ -82,8 +82,11 @@ _UNLIKE = 0.7  # what came back is no copy of what was sent
 
 @dataclass(frozen=True)
 class Loopback:
-    """What a cable shows: ``latency`` [samples], ``gain`` [V/V], ``residual`` [-], the part of what came back that is
-    no delayed copy of what was sent; of ``device`` at ``sample_rate`` [Hz], ``taken`` at a time (UTC)."""
+    """Measurement of a cable from output to input of ``device`` at ``sample_rate`` [Hz], ``taken`` at a time (UTC).
+
+    ``latency`` [samples]; ``gain`` [V/V]; ``residual`` [-]: part of the record that is no delayed copy of the
+    stimulus.
+    """
 
     latency: float
     gain: float
@@ -148,7 +151,7 @@ def write_loopback(path: str | Path, found: Loopback) -> None:
 
 
 def read_loopback(path: str | Path) -> Loopback:
-    """What :func:`write_loopback` wrote; DataError for a missing, damaged or foreign file."""
+    """Loopback written by :func:`write_loopback`; DataError for a missing, damaged or foreign file."""
     kept = read_json(path)
     try:
         latency, gain, residual, rate = (float(kept[k]) for k in ("latency", "gain", "residual", "sample_rate"))

@@ -15,7 +15,7 @@ from ..store.folder import set_kind, write_text
 from ..store.record import dims, load, save
 from ..typing import FloatArray
 
-# What one measurement leaves behind, in volts as taken: nothing is converted before it is saved.
+# Record of one measurement, in volts as taken: nothing is converted before it is saved.
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,7 @@ class Folder:
             )
 
     def file(self, output: str, source: str) -> Path:
-        """Where the recording ``output`` <- ``source`` is kept."""
+        """File of the recording ``output`` <- ``source``."""
         safe = [re.sub(r"[^A-Za-z0-9_-]", "_", name) for name in (output, source)]
         tag = hashlib.sha256(f"{output}\0{source}".encode()).hexdigest()[:6]
         return self.path / f"G_{safe[0]}_{safe[1]}_{tag}.nc"

@@ -40,10 +40,15 @@ class VirtualSensor:
 
 @dataclass(frozen=True)
 class Faults:
-    """What goes wrong. ``drop`` (sample, count) makes a buffer come late by ``count`` samples;
-    ``dead_inputs`` are actuators that do not move; ``drift`` is the relative change of the response per
-    second; from sample ``moved_at`` on it is ``moved_gain`` times as large; ``fail_at`` makes the driver
-    raise; ``nan_at`` yields a sample that is not a number."""
+    """Faults of a virtual device.
+
+    ``drop`` (sample, count): a buffer comes late by ``count`` samples.
+    ``dead_inputs``: actuators that do not move.
+    ``drift``: relative change of the response per second.
+    ``moved_at``, ``moved_gain``: sample from which the response is so many times as large.
+    ``fail_at``: sample at which the driver raises.
+    ``nan_at``: sample that is not a number.
+    """
 
     drop: tuple[int, int] | None = None
     dead_inputs: tuple[int, ...] = ()

@@ -1,4 +1,4 @@
-"""What two G have in common: ports by name and place, frequencies."""
+"""Ports (by name and place) and frequencies that two G have in common."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def matched(ours: tuple[Port, ...], theirs: tuple[Port, ...], what: str) -> tupl
 
 
 def _lacking(ours: tuple[Port, ...], theirs: tuple[Port, ...]) -> str:
-    """Which ports one side has beyond those of the other, by name; "" where neither holds all of the other's."""
+    """Names of the ports that one side has beyond those of the other; "" where neither holds all of the other's."""
     a, b = ({p.name for p in side} for side in (ours, theirs))
     if not a < b and not b < a:
         return ""
@@ -64,7 +64,7 @@ def _plane(ports: tuple[Port, ...]) -> FloatArray | None:
 
 
 def _by_place(ours: FloatArray | None, theirs: FloatArray | None) -> list[int] | None:
-    """The one port of ``theirs`` at each place of ``ours``; None where that is no pairing of all."""
+    """Index of the one port of ``theirs`` at each place of ``ours``; None where that is no pairing of all."""
     if ours is None or theirs is None or len(ours) != len(theirs):
         return None
     spacing = 0.01  # m, of a single place
@@ -80,7 +80,7 @@ def _by_place(ours: FloatArray | None, theirs: FloatArray | None) -> list[int] |
 def _disagreement(
     ours: tuple[Port, ...], theirs: tuple[Port, ...], order: list[int], by_place: list[int] | None, what: str
 ) -> str:
-    """What to say of ports that bear the same names."""
+    """Sentence on ports that bear the same names."""
     if by_place is not None and by_place != order:
         moved = [f"A's {p.name} = B's {theirs[k].name}" for p, k in zip(ours, by_place, strict=True)]
         moved = [m for m, (k, o) in zip(moved, zip(by_place, order, strict=True), strict=True) if k != o]
@@ -103,7 +103,7 @@ def _disagreement(
 
 
 def _transform(a: FloatArray, b: FloatArray) -> str:
-    """How B's layout (n, 2) follows from A's, where it is a shift, a factor or a mirror image."""
+    """Transformation of A's layout (n, 2) into B's, where it is a shift, a factor or a mirror image."""
     shift = (b - a).mean(axis=0)
     spread = max(float(np.linalg.norm(a - a.mean(axis=0), axis=1).max()), _CLOSE)
     if float(np.linalg.norm(b - a - shift, axis=1).max()) <= _SHAPE * spread:
@@ -222,7 +222,7 @@ def common_ground(a: TransferMatrix, b: TransferMatrix) -> CommonGround:
 
 
 def _nothing_shared(ours: BoolArray, theirs: BoolArray) -> str:
-    """Why there is nothing to compare."""
+    """Reason that there is nothing to compare."""
     shares = [f"{name} knows {100 * v.mean():.3g} %" for name, v in (("A", ours), ("B", theirs))]
     return (
         f"A and B know no entry in common: {' and '.join(shares)} of its entries at the common frequencies, the rest "
@@ -266,7 +266,7 @@ def _matched(a: TransferMatrix, b: TransferMatrix) -> tuple[TransferMatrix, tupl
 
 
 def _within(g: TransferMatrix, other: TransferMatrix) -> int:
-    """How many frequencies of ``g`` lie within the other's band."""
+    """Number of frequencies of ``g`` within the other's band."""
     f = g.frequency
     low, high = other.frequency[0] * (1 - _SAME), other.frequency[-1] * (1 + _SAME)
     return int(np.count_nonzero((f >= low) & (f <= high)))
@@ -338,13 +338,13 @@ def _off(x: FloatArray, y: ComplexArray) -> tuple[float, float]:
 
 
 def _wide(x: FloatArray) -> BoolArray:
-    """Which intervals between ``x`` are gaps: wider than those about them, as axes may grow coarser by and by."""
+    """True where an interval of ``x`` is a gap: wider than those about it, as axes may grow coarser by and by."""
     step = np.diff(x)
     return np.asarray(step > _GAP * median_filter(step, _ABOUT, mode="nearest")) if len(step) else step > 0
 
 
 def _guessed(name: str, fine: TransferMatrix, error: float | None) -> tuple[str, ...]:
-    """What to say of a matrix whose interpolation may count."""
+    """Sentences on a matrix whose interpolation may count."""
     if error is None or error <= _EXACT:
         return ()
     step = float(np.diff(fine.frequency)[~_wide(fine.frequency)].max())

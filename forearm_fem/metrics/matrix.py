@@ -1,4 +1,4 @@
-"""How well a transfer matrix can be inverted."""
+"""Condition of a transfer matrix: how well it can be inverted."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def condition_number(values: ComplexArray) -> FloatArray:
 
 
 def condition_summary(condition: FloatArray) -> ConditionSummary:
-    """What :func:`condition_number` (n,) comes to over a band; frequencies where it is NaN are left out."""
+    """Summary of :func:`condition_number` (n,) over a band; frequencies where it is NaN are left out."""
     regular = condition[condition <= _SINGULAR]
     singular = int(np.count_nonzero(condition > _SINGULAR))
     if not len(regular):

@@ -79,8 +79,10 @@ def phase_told(fit: WaveFit) -> BoolArray:
 
 
 def beside(distance: FloatArray, radius: float) -> BoolArray:
-    """Which points at ``distance`` (m,) [m] from the middle of a cone of ``radius`` [m] lie beside it: those under it
-    move with it, not with its wave, and belong into no wave fit."""
+    """True where a point at ``distance`` (m,) [m] from the middle of a cone of ``radius`` [m] lies beside it.
+
+    Points under it move with it, not with its wave, and belong into no wave fit.
+    """
     return np.asarray(distance > max(_RIM * radius, _MIDDLE))
 
 

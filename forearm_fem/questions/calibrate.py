@@ -1,4 +1,4 @@
-"""What `forearm-fem calibrate` and `play` do, as plain functions; the command line only prints."""
+"""Work of `forearm-fem calibrate` and `play`, as plain functions; the command line only prints."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class VirtualSetup:
 
     @property
     def description(self) -> dict[str, Any]:
-        """What recordings through it depend on; of G a size per entry, whose digits hold between machines."""
+        """Keys that recordings through it depend on; of G a size per entry, whose digits hold between machines."""
         parts = np.nan_to_num(self.transfer.values.real + self.transfer.values.imag)  # not of its conjugate
         sizes = [f"{size:.4e}" for size in np.linalg.norm(parts, axis=0).ravel()]
         return {"snr": str(self.snr_db), "bits": self.bits, "latency": self.latency, "seed": self.seed, "g": sizes}
@@ -66,7 +66,7 @@ class VirtualSetup:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationResult:
-    """What was measured, and the files written: ``transfer.nc``, the live figure and one recording per entry."""
+    """Measured G, and the files written: ``transfer.nc``, the live figure and one recording per entry."""
 
     measured: Measured
     transfer_file: Path

@@ -244,8 +244,8 @@ def draws(scenario: Scenario, table: DrawTable) -> Iterator[Values]:
 
 
 def _drawable(scenario: Scenario) -> dict[str, Sourced]:
-    """What may be drawn, about the scenario's own value, by "tissue.key": of tissues with Kelvin-Voigt's law that the
-    preset has a spread of."""
+    """Parameters that may be drawn, about the scenario's own value, by "tissue.key": of tissues with Kelvin-Voigt's
+    law whose spread the preset has."""
     tissues, found = resolve_tissues(scenario), dict[str, Sourced]()
     for name, record in PRESETS[scenario.tissues.preset].items():
         modulus = tissues[name].modulus
@@ -287,7 +287,7 @@ def _toml(value: Any) -> str:
 
 @dataclass(frozen=True)
 class MemberResult:
-    """What became of a member: numbers for the table, or the sentence why it failed; ``reused`` if done before."""
+    """Result of a member: numbers for the table, or the sentence why it failed; ``reused`` if done before."""
 
     name: str
     values: Mapping[str, Any]

@@ -180,7 +180,7 @@ def _reported(run: Run) -> None:
 
 
 def check_rendering(scenario: Scenario, base: Path) -> None:
-    """What cannot be placed or rendered, a missing wavelet's file among it, is said before minutes of solving."""
+    """Check of renderers and their files, such as a wavelet's, before minutes of solving."""
     check_places(scenario)
     check_servable(scenario)
     refuse_if_signals_too_large(scenario)
@@ -387,7 +387,7 @@ def _write_run(run: Run) -> None:
 
 
 def _earlier_stages(file: Path) -> dict[str, StageCost]:
-    """What stages of an earlier run into the same folder cost."""
+    """Costs of the stages of an earlier run into the same folder."""
     try:
         return dict(read_run(file).stages)
     except DataError:

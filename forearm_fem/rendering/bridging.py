@@ -25,7 +25,7 @@ _SHORTEST = 8  # samples: fewer leave no way to judge a spline
 
 @dataclass(frozen=True)
 class Interpolation:
-    """When bins between samples may be filled.
+    """Conditions on which bins between samples may be filled.
 
     An interval ``gap`` times wider than both its neighbours is a gap: nothing is filled there. ``tolerance`` bounds the
     estimated error of the spline, max |dG| / max |G| at one frequency. ``enabled`` False copies exact bins only.
@@ -68,7 +68,7 @@ def filled_in(
 
 
 def _slack(frequency: FloatArray) -> FloatArray:
-    """How far [Hz] a sample of ``frequency`` (n,) [Hz] may be off its bin: what six printed digits leave off."""
+    """Tolerance [Hz] of samples at ``frequency`` (n,) [Hz] beside their bins: what six printed digits leave off."""
     digit = 10.0 ** (np.floor(np.log10(np.maximum(frequency, 1e-300))) - (_PRINTED - 1))
     return np.asarray(0.51 * digit)
 
@@ -116,7 +116,7 @@ def _judge(place: FloatArray, values: ComplexArray, bins: IntArray, df: float, t
 
 
 def _noisy(place: FloatArray, values: ComplexArray, odd: IntArray, miss: ComplexArray) -> bool:
-    """Whether ``miss`` (n, m) of every other sample is noise: no course between samples, but what they scatter by.
+    """True if ``miss`` (n, m) of every other sample is noise: no course between samples, but what they scatter by.
 
     Noise is as large whatever samples are left out, while a spline of twice the spacing errs by up to 16 times as much
     in what it follows. It is small beside the values; a response that is sampled too seldom is missed by all of them.
@@ -163,14 +163,14 @@ class Bridged:
 
     @property
     def sentence(self) -> str:
-        """What was missing and what was done about it; empty where nothing was."""
+        """Sentence on the bins that were missing and how they were filled; empty without any."""
         ends = f"G misses {self.ends} values at the ends of its band, which are not bridged and not driven"
         parts = [*([self._holes] if self.bins else []), *([ends] if self.ends else [])]
         return "; ".join([*parts, *([self.said_of_absent] if self.absent else [])])
 
     @property
     def said_of_absent(self) -> str:
-        """What follows from actuators, points and entries of which nothing is known; empty where there are none."""
+        """Sentence on actuators, points and entries of which nothing is known; empty without any."""
         if not self.absent:
             return ""
         more = f" and {len(self.absent) - _LISTED} more" if len(self.absent) > _LISTED else ""
@@ -226,7 +226,7 @@ def bridged(transfer: TransferMatrix) -> Bridged:
 
 
 def known_of(transfer: TransferMatrix) -> BoolArray:
-    """Which values (n, n_out, n_in) of G are known."""
+    """True where values (n, n_out, n_in) of G are known."""
     return np.asarray(np.isfinite(transfer.values) & (True if transfer.valid is None else transfer.valid))
 
 

@@ -220,7 +220,7 @@ def known_bins(placed: Placed, rows: list[int]) -> BoolArray:
 
 
 def _never_together(placed: Placed, rows: list[int]) -> str:
-    """Why no bin serves ``rows``: outputs or single entries that are never known, or never all at once."""
+    """Reason that no bin serves ``rows``: outputs or single entries that are never known, or never all at once."""
     ever = np.asarray(placed.bins.valid[:, rows].any(axis=0))
     names = [placed.outputs[r].name for r in rows]
     if lost := [n for n, row in zip(names, ever, strict=True) if not row.any()]:

@@ -1,4 +1,4 @@
-"""What each S of a run is worth: its numerical interval, the thesis' reading, and what edges and holes do to it."""
+"""Interval of each S of a run: numerical, by the thesis' reading, and by missing edges and holes."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def strength_of(
 
 
 def _cost_of_ends(strength: Callable[[TransferMatrix], FloatArray], g: TransferMatrix, value: FloatArray) -> FloatArray:
-    """What the ends that G misses may have cost S: twice what it does to leave out as much again beside them."""
+    """Cost in S of the ends that G misses: twice that of leaving out as much again beside them."""
     try:
         return _MARGIN * _pooled(strength(with_wider_ends(g)) - value, value)
     except DataError:  # no bin is left on which all control points are known

@@ -18,7 +18,7 @@ _KINDS = ("rcond", "tikhonov", "discrepancy", "lcurve", "noise")
 
 @dataclass(frozen=True)
 class Regularisation:
-    """How the pseudo-inverse treats small singular values s; ``value`` [-] depends on ``kind``.
+    """Regularisation of the pseudo-inverse for small singular values s; ``value`` [-] depends on ``kind``.
 
     ``rcond``: s < value s_max is dropped (MATLAB's pinv of a 5 x 4 matrix: value = 1.1e-15). ``tikhonov``: 1/s becomes
     s / (s^2 + lambda^2), lambda = value s_max at each frequency. ``discrepancy``: lambda such that the misfit exceeds
@@ -78,8 +78,11 @@ class Control:
 
 @dataclass(frozen=True, eq=False)
 class Inversion:
-    """What the inversion of ``h`` met at each of its bins, by what it was ``wanted`` (n, c) to do, the ``drive`` (n, q)
-    that came out and the ``weights`` (n, k) of its singular vectors; worked out where it is asked for.
+    """Account of the inversion of ``h`` at each of its bins, worked out where it is asked for.
+
+    ``wanted`` (n, c): motion asked for.
+    ``drive`` (n, q): result.
+    ``weights`` (n, k): of its singular vectors.
 
     ``frequency`` (n,) [Hz]; ``parameter`` (n,) the cut (rcond) or lambda in G's unit.
     """
@@ -166,7 +169,7 @@ def least_squares(
 
 
 def _weights(s: FloatArray, parameter: FloatArray, kind: RegularisationKind) -> FloatArray:
-    """What multiplies U^H u in place of 1 / s, (n, k)."""
+    """Weights (n, k) of U^H u in place of 1 / s."""
     floor = _ROUNDING * s[:, :1]
     if kind == "rcond":
         kept = (s > np.maximum(floor, parameter[:, None])) & (s > 0)

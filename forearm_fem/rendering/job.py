@@ -264,7 +264,7 @@ def check_servable(scenario: Scenario) -> dict[str, str]:
 
 
 def is_on_bins(frequency: FloatArray, duration: float) -> bool:
-    """Whether ``frequency`` (n,) [Hz] are bins of a record of ``duration`` [s], to a thousandth of one."""
+    """True if ``frequency`` (n,) [Hz] are bins of a record of ``duration`` [s], to a thousandth of one."""
     place = frequency * duration
     return bool(np.allclose(place, np.rint(place), rtol=0, atol=1e-3))
 
@@ -333,7 +333,7 @@ def on_own_bins(g: TransferMatrix, scenario: Scenario) -> tuple[Scenario, str]:
 
 
 def _lies_on(g: TransferMatrix, scenario: Scenario) -> bool:
-    """Whether G is known on the bins of the scenario's record, or closely enough beside them."""
+    """True if G is known on the bins of the scenario's record, or closely enough beside them."""
     try:
         place(bridged(g).transfer, Record.of(scenario.sweep.sample_rate, scenario.sweep.duration))
     except DataError:
@@ -370,5 +370,5 @@ def _thesis_with_places_of(g: TransferMatrix) -> Scenario:
 
 
 def _places(ports: Sequence[Port], centre: np.ndarray) -> list[list[float]]:
-    """Where ``ports`` are from ``centre``, in metres to the nanometre."""
+    """Places of ``ports`` relative to ``centre``, in metres to the nanometre."""
     return [[round(float(v), 9) for v in np.array(p.position[:2]) - centre] for p in ports]

@@ -63,7 +63,7 @@ def lattice_of(ports: tuple[Port, ...], what: str) -> PortLattice:
 
 
 def is_thesis_grid(outputs: tuple[Port, ...]) -> bool:
-    """Whether ``outputs`` are the thesis' 3 x 3 points "1" to "9", row by row; by their names where places are unknown.
+    """True if ``outputs`` are the thesis' 3 x 3 points "1" to "9", row by row; by their names where places are unknown.
 
     Groups of Table I (middle, edges, corners) mean something on such a grid only.
     """

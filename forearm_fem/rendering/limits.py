@@ -33,7 +33,7 @@ def rim_gaps(outputs: Sequence[Port], inputs: Sequence[Port]) -> FloatArray:
 
 
 def counted_points(outputs: Sequence[Port], inputs: Sequence[Port], clearance: float = CLEARANCE) -> BoolArray:
-    """Whether S towards each output (n_out,) counts: none under a cone or within ``clearance`` [m] of a rim does.
+    """True where S towards each output (n_out,) counts: none under a cone or within ``clearance`` [m] of a rim does.
 
     Points whose places are unknown count.
     """
@@ -58,7 +58,7 @@ def _listed(names: Sequence[str]) -> str:
     return f"points {', '.join(names[:-1])} and {names[-1]} are"
 
 
-# Whether an actuator bears what it is sent.
+# Limits of an actuator.
 
 _ILL = 10.0  # times a limit: no amplitude is that far off
 _DAMPED = "rendering.regularisation = 'tikhonov' with regularisation_value = 0.05"  # 'auto' damps no thesis' device

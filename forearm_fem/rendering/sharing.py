@@ -1,4 +1,4 @@
-"""What several aims have in common, worked out once: by places for any G of theirs, by G for all its targets."""
+"""Precomputation shared by several aims: by places for any G of theirs, by G for all its targets."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class ThesisZeros:
 
 
 def within_thesis(placed: Placed) -> bool:
-    """Whether G has at most the thesis' four actuators (columns known on some bin count)."""
+    """True if G has at most the thesis' four actuators (columns known on some bin count)."""
     return int(np.count_nonzero(placed.bins.valid.any(axis=(0, 1)))) <= THESIS_ACTUATORS
 
 

@@ -19,7 +19,7 @@ READINGS = ("played", "reported", "played, record", "reported, record")
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What became of a draw.
+    """Result of a draw.
 
     ``strengths`` (n_reading, n_method, n_target) [-] by :data:`READINGS`: S as played on the skin,
     which is what the drives reach on the true G, and S as the rig reports it, on the G that it measured (as Table I);

@@ -71,7 +71,7 @@ class MeshRecord(_Record):
 
 
 class SolutionRecord(_Record):
-    """What the finite-element sweep did; empty for the layered engine.
+    """Record of the finite-element sweep; empty for the layered engine.
 
     Frequencies in Hz; ``residual`` is the largest relative one of the direct solves; ``certificates`` are what the
     reduced model was held against; ``ends_by`` says how the solution with other ends was made.

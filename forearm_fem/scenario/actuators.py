@@ -34,7 +34,7 @@ class Actuator:
 
     @property
     def drive(self) -> str:
-        """What a unit drive is: "voltage" (1 V), "force" (1 N) or "displacement" (1 m)."""
+        """Quantity of a unit drive: "voltage" (1 V), "force" (1 N) or "displacement" (1 m)."""
         return str(self.keys.get("drive", "voltage"))
 
 

@@ -1,4 +1,4 @@
-"""What every part of a scenario shares: frozen, unknown keys refused, every number finite and of a plausible size."""
+"""Base of all parts of a scenario: frozen, unknown keys refused, every number finite and of a plausible size."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ _DEVICES = frozenset({"con", "prn", "aux", "nul", *(f"{kind}{n}" for kind in ("c
 
 
 def is_folder_name(name: str) -> bool:
-    """Whether a folder may be called ``name`` on every system."""
+    """True if a folder may be called ``name`` on every system."""
     return bool(re.fullmatch(_FOLDER, name)) and name.partition(".")[0].lower() not in _DEVICES
 
 
@@ -103,7 +103,7 @@ def only_in(part: type[Part], why: str) -> dict[str, str]:
 
 
 def given(data: Any, key: str) -> bool:
-    """Whether ``data``, a table or a part, has something under ``key``."""
+    """True if ``data``, a table or a part, has something under ``key``."""
     return (data.get(key) if isinstance(data, Mapping) else getattr(data, key, None)) is not None
 
 

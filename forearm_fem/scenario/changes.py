@@ -38,7 +38,7 @@ def remade(kind: TypeAdapter[T], data: Mapping[str, Any], changes: Mapping[str, 
 
 
 def _overlap(key: str, other: str) -> bool:
-    """Whether one of two dotted keys is the other, or lies below it."""
+    """True if one of two dotted keys is the other, or lies below it."""
     return f"{key}.".startswith(f"{other}.") or f"{other}.".startswith(f"{key}.")
 
 

@@ -96,7 +96,7 @@ Drive = Literal["voltage", "force", "displacement"]
 
 
 class ActuatorArray(Part):
-    """What each device has, whatever drives it and wherever its actuators are."""
+    """Parts of any device, whatever drives it and wherever its actuators are."""
 
     rotation: Annotated[float, Within(-6.3, 6.3, "rad")] = Field(
         0.0, description="of the contacts and the grid points together, about z [rad]"

@@ -62,7 +62,8 @@ class FoamUnderside(Supports):
 
     underside: Literal["foam"] = Field("foam", description="skin that faces down lies on foam")
     foam_stiffness: Annotated[float, Within(1e-6, 1e15, "N/m^3", zero=True)] = Field(
-        2.0e5, description="foam spring per area [N/m^3]"
+        2.0e5,
+        description="foam spring per area [N/m^3], 1e4 to 1e7; beyond, take underside = 'fixed'",
     )
     foam_damping: Annotated[float, Within(1e-6, 1e12, "N s/m^3", zero=True)] = Field(
         1.0e3, description="foam dashpot per area [N s/m^3]"

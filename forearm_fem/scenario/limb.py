@@ -161,7 +161,7 @@ def limb_tissues(limb: Limb) -> set[str]:
 
 
 def has_bone(limb: Limb) -> bool:
-    """Whether a limb has a bone."""
+    """True if a limb has a bone."""
     return bool(getattr(limb, "bones", ())) or "bone" in limb_tissues(limb)
 
 

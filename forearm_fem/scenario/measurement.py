@@ -1,4 +1,4 @@
-"""How the transfer matrix is measured: sweep, sensor, channels, averaging and safety."""
+"""Measurement of the transfer matrix: sweep, sensor, channels, averaging and safety."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Seconds = Annotated[float, Within(-100.0, 100.0, "s")]
 
 
 class SensorOptions(Part):
-    """What the vibrometer's output means; nothing is guessed, so both must be given before real hardware is used."""
+    """Meaning of the vibrometer's output; nothing is guessed, so both keys are needed for real hardware."""
 
     quantity: Quantity | None = Field(default=None, description="what the sensor's voltage is proportional to")
     sensitivity: Annotated[float, Within(1e-12, 1e12, "V per m, m/s or m/s^2")] | None = Field(

@@ -46,7 +46,7 @@ _ELEMENTS_ONLY = ("mesh", "supports", "solver", "limb.length", "limb.width", "li
 
 
 def for_elements_only(key: str) -> bool:
-    """Whether finite elements alone read the dotted ``key``: the layered model has flat, endless layers and no mesh."""
+    """True if finite elements alone read the dotted ``key``: the layered model has flat, endless layers and no mesh."""
     return key != "solver.memory_limit" and any(f"{key}.".startswith(f"{part}.") for part in _ELEMENTS_ONLY)
 
 
@@ -112,8 +112,8 @@ class Scenario(Part):
     @model_validator(mode="wrap")
     @classmethod
     def _settled(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        """What is left out is filled in, and counts as left out: a limb without a shape is a forearm, ``accuracy``
-        sets the length of one that leaves it out, an actuator brings its own keys."""
+        """Scenario with defaults filled in, which count as left out: a limb without a shape is a forearm,
+        ``accuracy`` sets a length left out, an actuator brings its own keys."""
         if not isinstance(data, Mapping):
             return handler(data)
         _refuse_version(data)
@@ -215,7 +215,7 @@ def _refuse_version(data: Mapping[str, Any]) -> None:
 
 
 def _holds_a_sample(window: tuple[float, float], sweep: Sweep) -> bool:
-    """Whether a sample k / sample_rate of the record, whose t = 0 is its middle, lies in ``window`` [s]."""
+    """True if a sample k / sample_rate of the record, whose t = 0 is its middle, lies in ``window`` [s]."""
     last = math.ceil(round(sweep.duration * sweep.sample_rate) / 2) - 1
     return min(math.floor(window[1] * sweep.sample_rate + 1e-9), last) >= math.ceil(
         window[0] * sweep.sample_rate - 1e-9

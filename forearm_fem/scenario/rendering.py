@@ -1,4 +1,4 @@
-"""Which renderers run on G, at which targets, with which wavelet."""
+"""Renderers, their targets and their wavelet."""
 
 from __future__ import annotations
 

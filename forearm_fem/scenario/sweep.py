@@ -98,7 +98,7 @@ Sweep = Annotated[
 
 
 class SolverOptions(Part):
-    """How systems are factorised."""
+    """Options of the factorisation."""
 
     backend: Literal["auto", "multifrontal", "pardiso", "superlu", "cudss"] = Field(
         "auto", description="direct solver; cudss: on an NVIDIA device, with the extra 'cudss'"

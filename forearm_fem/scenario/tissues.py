@@ -62,7 +62,7 @@ class Patch(Part):
 
     @property
     def is_on(self) -> bool:
-        """Whether there is anything on the skin."""
+        """True if there is anything on the skin."""
         return bool(self.mass or self.stiffness or self.viscosity)
 
 

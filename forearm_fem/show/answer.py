@@ -26,7 +26,7 @@ _SURE = 0.005  # relative half width below which an interval is not worth its ro
 
 @dataclass(frozen=True)
 class MethodAnswer:
-    """What one method reaches over the points that count.
+    """Result of one method over the points that count.
 
     ``focused`` are the points where S > 1, ``open`` those whose interval holds 1, ``unknown`` those without S;
     ``mean`` and ``least`` are of the others, NaN where there are none; ``least_at`` names the point of the least.
@@ -100,7 +100,7 @@ def answer_of(results: Results, data: Strengths) -> list[str]:
 
 
 def not_counted(results: Results, data: Strengths) -> str:
-    """Which points are in no mean and no verdict, and why; empty where all are."""
+    """Points in no mean and no verdict, and why; empty where all count."""
     names = [t for t, counts in zip(data.targets, data.counted, strict=True) if not counts]
     return not_counted_words(names, data.outputs, results.touching, results.scenario.rendering.clearance)
 
@@ -125,7 +125,7 @@ def subject_of(results: Results) -> str:
 
 
 def is_measured(results: Results) -> bool:
-    """Whether G came from outside, so that nothing is known of the limb."""
+    """True if G came from outside, so that nothing is known of the limb."""
     return "scenario" not in results.transfer.provenance and not results.has("compliance")
 
 
@@ -176,7 +176,7 @@ def accuracy_words(results: Results) -> str:
 
 
 def people_words(data: Strengths) -> str:
-    """What arms do to S: of a prediction where the folder holds one, else that it is not included."""
+    """Effect of arms on S: of a prediction where the folder holds one, else that it is not included."""
     record = track_record()
     if data.arms is None:
         return (f"People differ by about a factor of {record.width:.2g} to either side, not included: `forearm-fem "
@@ -249,14 +249,14 @@ def _strength_lines(data: Strengths) -> list[str]:
 
 
 def beside_thesis(results: Results) -> bool:
-    """Whether G is of the device of the thesis' Table I, by the scenario and by the places that G itself states."""
+    """True if G is of the device of the thesis' Table I, by the scenario and by the places that G itself states."""
     g = results.transfer
     own = (positions(ports)[:, :2] for ports in (g.inputs, g.outputs))
     return is_thesis_device(results.scenario) and _thesis_places(*(map(tuple, at.tolist()) for at in own))
 
 
 def is_thesis_device(scenario: Scenario) -> bool:
-    """Whether the actuators are those of the thesis' Table I: 2 x 2, 45 mm apart, over points 13.3 mm apart."""
+    """True if the actuators are those of the thesis' Table I: 2 x 2, 45 mm apart, over points 13.3 mm apart."""
     d = scenario.device
     return not d.out_of_contact and _thesis_places(d.centres, scenario.grid.places)
 

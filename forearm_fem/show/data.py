@@ -54,7 +54,7 @@ PREDICTION = "prediction/prediction.json"
 
 @dataclass(frozen=True)
 class Results:
-    """What one run left in ``folder``; every property reads its file once, when first asked.
+    """Files of one run in ``folder``; every property reads its file once, when first asked.
 
     A missing file raises DataError with the command that makes it. ``compliance``, ``mesh`` and
     ``wavefield`` exist for some runs only: ask :meth:`has` first.
@@ -78,7 +78,7 @@ class Results:
         return found
 
     def has(self, name: str) -> bool:
-        """Whether the file ``name`` is there; "compliance" asks inside transfer.nc."""
+        """True if the file ``name`` is there; "compliance" asks inside transfer.nc."""
         if name == "compliance":
             return self.has("transfer.nc") and self._compliance is not None
         return (self.folder / name).is_file()
@@ -120,7 +120,7 @@ class Results:
         return tuple(p for p in self.transfer.inputs if p.name not in lifted)
 
     def counted(self, targets: Sequence[str]) -> BoolArray:
-        """Whether S towards each of ``targets`` counts: not under or beside a motor."""
+        """True where S towards each of ``targets`` counts: not under or beside a motor."""
         points = {p.name: p for p in self.transfer.outputs}
         return counted_points([points[t] for t in targets], self.touching, self.scenario.rendering.clearance)
 
@@ -189,7 +189,7 @@ class Results:
 
     @property
     def has_field(self) -> bool:
-        """Whether the motion between the ports is known."""
+        """True if the motion between the ports is known."""
         return self.has("wavefield.npz") and self.has("mesh.vtu")
 
     @cached_property
@@ -210,7 +210,7 @@ class Results:
     @cached_property
     def stamp(self) -> str:
         """Scene, mesh and version in one line, for the foot of each figure."""
-        mesh = "layered twin, no mesh" if self.scenario.engine == "layered" else "no mesh"
+        mesh = "layered model, no mesh" if self.scenario.engine == "layered" else "no mesh"
         mesh = mesh if "scenario" in self.transfer.provenance else "measured G"
         if self.mesh_hash:
             mesh = f"mesh {self.mesh_hash[:10]}"

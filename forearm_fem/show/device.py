@@ -1,4 +1,4 @@
-"""What the amplifiers and the skin see: drives against their limits, and driving-point impedance."""
+"""Drives against their limits, and driving-point impedance of the skin."""
 
 from __future__ import annotations
 

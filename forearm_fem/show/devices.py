@@ -96,7 +96,7 @@ def compare_devices(folders: Sequence[str | Path], progress: Progress | None = N
 
 
 def are_devices(folders: Sequence[Path]) -> bool:
-    """Whether ``folders`` are runs of several devices: more than two, or two whose actuators stand elsewhere."""
+    """True if ``folders`` are runs of several devices: more than two, or two whose actuators stand elsewhere."""
     if not all(f.is_dir() and (f / "signal_strength.csv").is_file() for f in folders):
         return False
     if len(folders) != 2:

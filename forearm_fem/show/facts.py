@@ -1,4 +1,4 @@
-"""What the report says, as plain text and numbers; nothing here knows HTML or Markdown."""
+"""Content of the report, as plain text and numbers; nothing here knows HTML or Markdown."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ENGINES = {"fem": "finite elements", "layered": "layered model (semi-analytic; 
 
 
 def scene_block(results: Results) -> Block:
-    """What was asked, in a reader's words."""
+    """Scene asked for, in a reader's words."""
     s = results.scenario
     changed = ", ".join(s.tissues.override)
     own = [key for key in s.changed_keys() if key not in ("name", "description")]
@@ -91,7 +91,7 @@ def _grid(s: Scenario, count: int) -> str:
 
 
 def _nearest(places: Sequence[tuple[float, float]]) -> str:
-    """How far apart the two nearest of ``places`` (x, y) [m] are; nothing for one place."""
+    """Distance of the two nearest of ``places`` (x, y) [m]; nothing for one place."""
     if len(places) < 2:
         return ""
     return f", the nearest {1e3 * min(math.dist(a, b) for a, b in combinations(places, 2)):.3g} mm apart"
@@ -170,7 +170,7 @@ def renderer_block(results: Results) -> Block:
 
 
 def limit_words(results: Results) -> str:
-    """How near the drives come to what the actuators bear, in one sentence."""
+    """Sentence on drives against the limits of the actuators."""
     drives, limits = results.drives, limits_of(results.scenario.device)
     if drives.unit != "V" or limits is None:
         return "The drives are no voltages, so limits were not checked."
@@ -213,7 +213,7 @@ def strength_block(results: Results) -> Block | None:
 
 
 def window_words(data: Strengths) -> str:
-    """What S is taken over."""
+    """Window of S in words."""
     if not data.window:
         return "over a window that the folder does not name"
     if data.window == "record":
@@ -312,7 +312,7 @@ def cost_block(results: Results) -> Block | None:
 
 
 def provenance_block(results: Results) -> Block:
-    """What made these results."""
+    """Provenance of these results."""
     rows = [["forearm_fem", results.version], ["scene", results.scenario.name], ["mesh SHA-256", results.mesh_hash]]
     account = results.account
     rows += [["direct solver", account.solution.solver or ""], *([k, v] for k, v in account.versions.items())]

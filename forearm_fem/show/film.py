@@ -55,10 +55,14 @@ _MAPS = {"normal": SIGNED, "magnitude": SIZE, "phase": "twilight"}
 
 @dataclass(frozen=True)
 class Look:
-    """How to show it: ``camera`` of :data:`CAMERAS`; ``cut`` "", "x", "y" or "xy" opens the limb in front of planes
-    through the target normal to these axes; ``amplification`` [-] (None: so that the largest displacement is drawn as
-    about 5 mm); ``limit`` [m] of the colours (None: what the grid points reach); ``bare`` leaves out words and the
-    bar of colours."""
+    """Options of the picture.
+
+    ``camera``: of :data:`CAMERAS`.
+    ``cut``: "", "x", "y" or "xy" opens the limb in front of planes through the target normal to these axes.
+    ``amplification`` [-]: None draws the largest displacement as about 5 mm.
+    ``limit`` [m]: of the colours; None takes what the grid points reach.
+    ``bare``: without words and bar of colours.
+    """
 
     camera: str = "oblique"
     cut: str = ""
@@ -77,7 +81,7 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """What is deformed: a pyvista ``dataset`` whose points are combinations of mesh vertices.
+    """Deformed body: a pyvista ``dataset`` whose points are combinations of mesh vertices.
 
     ``rest`` (n, 3) [mm]; ``modes`` (n, 3, r) of its points; ``normals`` (n, 3) the direction "normal" refers to.
     """
@@ -123,7 +127,7 @@ def _body(surface: Any, modes: FloatArray, normals: FloatArray | None) -> Body:
 
 
 def standing(ports: Sequence[Port], cut: str, place: Sequence[float]) -> tuple[Port, ...]:
-    """Those of ``ports`` that stand on what a ``cut`` through ``place`` [m] leaves; the others would float."""
+    """Ports that stand on what a ``cut`` through ``place`` [m] leaves; the others would float."""
     planes = [("x", "y").index(axis) for axis in cut]
     return tuple(p for p in ports if not cut or any(p.position[k] > place[k] - 1e-9 for k in planes))
 
@@ -133,7 +137,7 @@ def _port(ports: tuple[Port, ...], name: str) -> Port:
 
 
 def amplification(moved: Motion, body: Body, look: Look) -> float:
-    """How many times larger than life the motion is drawn: as asked, or 1, 2 or 5 times a power of ten."""
+    """Amplification of the motion drawn: as asked, or 1, 2 or 5 times a power of ten."""
     if look.amplification is not None:
         return look.amplification
     sizes = [np.linalg.norm(moved.displacement(body.modes, k), axis=1).max() for k in range(len(moved.steps))]
@@ -142,7 +146,7 @@ def amplification(moved: Motion, body: Body, look: Look) -> float:
 
 
 def colour_limit(results: Results, moved: Motion, look: Look) -> float:
-    """Where colours end [m]: as asked, or the largest motion of the grid points' nearest vertices."""
+    """End of the colours [m]: as asked, or the largest motion of the grid points' nearest vertices."""
     if look.limit is not None:
         return look.limit
     places = np.array([p.position for p in results.transfer.outputs])
@@ -185,7 +189,7 @@ class Stage:
             )
 
     def beyond(self, step: int) -> bool:
-        """Whether some of the body moves more than the colours tell."""
+        """True if some of the body moves more than the colours tell."""
         u = self.moved.displacement(self.body.modes, step)
         return bool(np.abs(shown_values(u, self.body.normals, self.moved.view.quantity)).max() > 1.001 * self.limit)
 
@@ -195,7 +199,7 @@ class Stage:
 
 
 def drawn_words(factor: float) -> str:
-    """How a motion is drawn that was multiplied by ``factor``."""
+    """Sentence on a motion that was multiplied by ``factor``."""
     if factor in (0, 1):
         return "drawn true to scale" if factor else "motion not drawn, only coloured"
     return f"motion drawn {max(factor, 1 / factor):,.6g} times {'larger' if factor > 1 else 'smaller'}"
@@ -233,7 +237,7 @@ def staged(results: Results, plotter: Any, moved: Motion, look: Look, whole: Mot
 
 
 def _scale_bar(ports: Sequence[Port]) -> FloatArray:
-    """Where the bar of 10 mm starts [mm]."""
+    """Start of the bar of 10 mm [mm]."""
     return np.asarray(MM * np.array([p.position for p in ports]).min(axis=0) + np.array([-8, -16, 0]))
 
 
@@ -250,7 +254,7 @@ def _on_white(plotter: Any, look: Look) -> None:
 
 
 def _scale(quantity: str, limit: float, look: Look) -> tuple[str, tuple[float, float]]:
-    """What the colours mean, and their ends."""
+    """Title of the colours, and their ends."""
     most = 1e6 * limit
     return {
         "normal": ("u_z [µm]" if look.cut else "u outward [µm]", (-most, most)),

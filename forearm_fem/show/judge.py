@@ -1,4 +1,4 @@
-"""How good is it: signal strength beside the thesis' Table I, maps of S, and error estimates."""
+"""Figures of merit: signal strength beside the thesis' Table I, maps of S, and error estimates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What moves in a picture: a field over time for a target and method, or over phase at one frequency."""
+"""Motion in a picture: a field over time for a target and method, or over phase at one frequency."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Quantity = Literal["normal", "magnitude", "phase"]
 
 @dataclass(frozen=True)
 class View:
-    """What to show.
+    """Choice of the motion to show.
 
     ``method`` and ``target`` choose the drives; with ``frequency`` [Hz] only the bin nearest to it, scaled so that the
     largest drive is one unit; ``actuator`` replaces them by one unit on that actuator (needs a frequency).

@@ -108,7 +108,7 @@ class Section:
 
     @property
     def holds(self) -> bool:
-        """Whether there is anything to show."""
+        """True if there is anything to show."""
         return bool(self.block or self.paragraphs or self.bullets or self.pictures or self.commands)
 
 

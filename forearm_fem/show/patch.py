@@ -76,7 +76,7 @@ class NormalField:
         return np.asarray(self.amplitudes[:, :, source] @ self.modes.T)
 
     def in_time(self, spectrum: ComplexArray, times: FloatArray) -> FloatArray:
-        """As :meth:`Wavefield.in_time`, (n_time, n_point) [m]."""
+        """Normal motion over time (n_time, n_point) [m], as :meth:`Wavefield.in_time` has it."""
         as_field = Wavefield(self.frequency, self.modes[:, None, :], self.amplitudes)
         return as_field.in_time(spectrum, times)[:, :, 0]
 

@@ -181,7 +181,7 @@ def _chosen(results: Results, only: Sequence[str] | None) -> list[FigureKind]:
 
 
 def _never_made(name: str, results: Results) -> bool:
-    """Whether a file is one of renderers', of which the run has none."""
+    """True if a file is one of renderers', of which the run has none."""
     return name != "transfer.nc" and not results.has(name) and not results.scenario.rendering.methods
 
 

@@ -183,7 +183,7 @@ class _Drawn:
         self._progress, self._done = progress, 0
 
     def of(self, jobs: list[Callable[[], T]]) -> list[T]:
-        """What the ``jobs`` made, but for those that could not."""
+        """Results of the ``jobs``, but for those that could not be drawn."""
         made = []
         for job in jobs:
             tell(self._progress, "report", self._done, 0)
@@ -204,7 +204,7 @@ def shown_target(data: Strengths) -> str:
 
 
 def methods_block(data: Strengths) -> Block:
-    """Where each method focuses, the best first."""
+    """Points where each method focuses, the best first."""
     rows = [
         [a.method, f"{len(a.focused)} of {a.points}", strength_text(a.mean) if np.isfinite(a.mean) else "unknown",
          f"{strength_text(a.least)} at point {a.least_at}" if a.least_at else "unknown", ", ".join(a.open) or "–"]

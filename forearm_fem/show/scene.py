@@ -145,7 +145,7 @@ def add_scale_bar(plotter: Any, at: FloatArray, *, named: bool = True) -> None:
 
 
 def has_display() -> bool:
-    """Whether a window could be opened."""
+    """True if a window could be opened."""
     named = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     return os.name == "nt" or sys.platform == "darwin" or bool(named)
 

@@ -134,7 +134,7 @@ def clear_legends(figure: Figure) -> None:
 
 
 def _behind(ax: Axes) -> bool:
-    """Whether a curve of ``ax`` passes behind its legend, which lies in its upper part."""
+    """True if a curve of ``ax`` passes behind its legend, which lies in its upper part."""
     legend = ax.get_legend()
     assert legend is not None
     box, frame = legend.get_window_extent(), ax.get_window_extent()

@@ -110,7 +110,7 @@ def _between(places: FloatArray, values: FloatArray, x: FloatArray, y: FloatArra
 
 
 def _has_waves(results: Results, target: str) -> bool:
-    """Whether the field between the points is known on the bins of the drives towards ``target``."""
+    """True if the field between the points is known on the bins of the drives towards ``target``."""
     if not results.has_field:
         return False
     try:
@@ -221,7 +221,7 @@ def _curves(ax: Axes, data: xr.Dataset, m: int) -> None:
 
 
 def _shown(data: xr.Dataset) -> tuple[float, float]:
-    """What traces show [ms]: 40 ms to either side of the focus, and all instants of the maps."""
+    """Span of the traces [ms]: 40 ms to either side of the focus, and all instants of the maps."""
     low, high = min(-_AROUND, float(data.when.min())), max(_AROUND, float(data.when.max()))
     return 1e3 * max(low, float(data.time[0])), 1e3 * min(high, float(data.time[-1]))
 

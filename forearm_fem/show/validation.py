@@ -82,7 +82,7 @@ def verdict(judged: Mapping[str, Any]) -> str:
 
 
 def failures(data: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """What lies outside the band: what it is, what was measured, what the arms show."""
+    """Findings outside the band: name, measured value, value of the arms."""
     rows = [
         (f"Table I, S {words}: {e['method']} at {_short(e['group'])}", f"{e['measured']:.2f}",
          f"{e['low']:.2f}-{e['high']:.2f}{'' if e['sure'] else ' (just)'}")
@@ -99,7 +99,7 @@ def failures(data: Mapping[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def joint_words(data: Mapping[str, Any]) -> list[str]:
-    """How many of Table I's entries lie outside, how far they do together, and which no law explains."""
+    """Number of Table I's entries outside, their joint distance, and the one that no law explains."""
     lines = []
     if other := data.get("other_device"):
         verb = "is" if len(other) == 1 else "are"
@@ -128,7 +128,7 @@ def joint_words(data: Mapping[str, Any]) -> list[str]:
 
 
 def coverage(data: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """How many findings lie inside: those that made no prior, those that did, and by source."""
+    """Number of findings inside: those that made no prior, those that did, and by source."""
     compared = list(_compared(data))
     groups = {
         "that made no prior": [t for t in compared if not t["fitted"]],

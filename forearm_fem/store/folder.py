@@ -190,7 +190,7 @@ def set_kind(folder: str | Path, kind: str, asked: Mapping[str, Any] | None = No
 
 
 def _record(folder: str | Path) -> dict[str, Any]:
-    """What the folder says of itself; nothing where that is missing or damaged."""
+    """Record in the folder; nothing where it is missing or damaged."""
     with suppress(OSError, ValueError):
         found = json.loads((Path(folder) / RECORD).read_text(encoding="utf-8"))
         return found if isinstance(found, dict) else {}

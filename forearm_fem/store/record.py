@@ -113,7 +113,7 @@ def load(path: str | Path, cls: type[R]) -> R:
 
 
 def said_content(path: str | Path) -> str:
-    """What a netCDF file of this program says that it holds; empty for any other file."""
+    """Content that a netCDF file of this program states; empty for any other file."""
     import h5py
 
     try:
@@ -300,12 +300,12 @@ def _tuples(value: Any) -> Any:
 
 
 def _is_row(hint: Any) -> bool:
-    """Whether a field holds a tuple, or may."""
+    """True if a field holds a tuple, or may."""
     return any(typing.get_origin(a) is tuple for a in _choices(hint))
 
 
 def _choices(hint: Any) -> tuple[Any, ...]:
-    """What a field may hold."""
+    """Types that a field may hold."""
     union = isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union
     return typing.get_args(hint) if union else (hint,)
 

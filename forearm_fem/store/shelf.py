@@ -42,7 +42,7 @@ class Shelf:
         return tuple(key for (key,) in rows)
 
     def get(self, key: str) -> dict[str, Any] | None:
-        """What was put under ``key``; None where that is nothing, or is damaged."""
+        """Data put under ``key``; None for none, or damaged data."""
         rows: list[Any] = []
         with self._reading() as base:
             if base:

@@ -56,7 +56,7 @@ def in_this_process(jobs: Mapping[str, Any], work: Work) -> Iterator[tuple[str, 
 def spread(
     workers: int | Callable[[], int], scheduler: str | None, purpose: str, *, asked: bool = True, apart: bool = False
 ) -> Run | None:
-    """How :func:`done_once` spreads jobs: over so many processes, or those of a Dask ``scheduler`` at this address.
+    """Processes for the jobs of :func:`done_once`: so many, or those of a Dask ``scheduler`` at this address.
 
     ``workers`` that are worked out are so when there is a job. None where this process does all: for one worker, unless
     its jobs are to be ``apart`` from it, and where nobody ``asked`` for processes and Dask is not installed.

@@ -1,4 +1,4 @@
-"""What answers say: errors (eq. 10 of de Vlam 2022), accuracy and precision, confusion, confidence, tests.
+"""Analysis of answers: errors (eq. 10 of de Vlam 2022), accuracy and precision, confusion, confidence, tests.
 
 Subjects are participants. Repetitions are averaged within a participant and cell before an analysis of variance: taken
 as further subjects they would triple the degrees of freedom, as in the thesis, where F(6, 360) fits 60 rows and not 20.

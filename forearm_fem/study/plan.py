@@ -73,7 +73,7 @@ class Task(Part):
 
 
 class Order(Part):
-    """How trials and tasks are ordered; balanced over participants by their place in the study."""
+    """Order of trials and tasks; balanced over participants by their place in the study."""
 
     seed: Annotated[int, Field(ge=0)] = Field(default=0, description="with place and task: the same order")
     methods: Literal["mixed", "one after the other"] = Field(
@@ -88,7 +88,7 @@ class Order(Part):
 
 
 class Stimuli(Part):
-    """What is rendered, and how strong."""
+    """Stimuli: methods, targets and levels."""
 
     methods: tuple[Method, ...] = Field(
         default=_METHODS, min_length=1, description="renderers compared; the participant never learns which"
@@ -129,7 +129,7 @@ class Stimuli(Part):
 
 
 class Analysis(Part):
-    """How answers are tested; chosen here, before there are any, and kept with them."""
+    """Tests of the answers; chosen here, before there are any, and kept with them."""
 
     correction: Literal["holm", "bonferroni"] = Field(default="holm", description="within each table of comparisons")
     sphericity: Literal["Greenhouse-Geisser", "Huynh-Feldt"] = Field(

@@ -1,4 +1,4 @@
-"""How many participants an effect needs, and how far a pilot tells that.
+"""Number of participants that an effect needs, and what a pilot tells of it.
 
 An effect is a set of d contrasts of participants' cell means. Its size is phi^2 = |mean contrast|^2 / (trace of their
 covariance / d): F has then the noncentrality n phi^2. A pilot's F tells an interval of phi^2 (its distribution

@@ -58,7 +58,7 @@ def write_analysis(study: Study, answers: Mapping[str, pd.DataFrame], grid: Sequ
 
 
 def _plan_section(study: Study, answers: Mapping[str, pd.DataFrame]) -> Section:
-    """How answers are tested, and since when that has been fixed."""
+    """Tests of the answers, and since when they have been fixed."""
     plan = study.analysis
     first = min((str(d) for t in answers.values() if "date" in t for d in t["date"].dropna()), default="")
     since = f", fixed in study.json before the first answer ({first})" if first else ""
@@ -68,7 +68,7 @@ def _plan_section(study: Study, answers: Mapping[str, pd.DataFrame]) -> Section:
 
 
 def _level_section(answers: Mapping[str, pd.DataFrame]) -> Section:
-    """How strong methods were at the target, and a warning where they differ by more than 1 dB."""
+    """Levels of the methods at the target, and a warning where they differ by more than 1 dB."""
     played = [t[["method", "target", "participant", "weighted_db"]] for t in answers.values() if "weighted_db" in t]
     if not played or (all_played := pd.concat(played).dropna()).empty:
         return Section("levels", "Levels", paragraphs=["How strong stimuli were is unknown."], warn=True)
@@ -85,7 +85,7 @@ def _level_section(answers: Mapping[str, pd.DataFrame]) -> Section:
 
 
 def _device_section(answers: Mapping[str, pd.DataFrame]) -> Section:
-    """What played, and what is known of its latency and level."""
+    """Device that played, its latency and level."""
     keys = ["device", "latency", "cable_gain"]
     played = pd.concat([t.reindex(columns=keys) for t in answers.values()])
     rows = [
@@ -101,7 +101,7 @@ def _device_section(answers: Mapping[str, pd.DataFrame]) -> Section:
 def _task(
     table: pd.DataFrame, task: Task, study: Study, grid: Sequence[Port]
 ) -> tuple[list[str], list[Section], dict[str, str]]:
-    """What a task's answers say in a sentence a measure, its sections, and its CSVs and R scripts by file name."""
+    """Results of a task: a sentence a measure, its sections, and its CSVs and R scripts by file name."""
     main, name, plan = with_errors(table, grid), task.name, study.analysis
     found, several = ellipses(main), task.answer == "several points"
     sections = [Section(name, f"Task {name}", _counts(main), pictures=_pictures(main, found, name, several, grid),
@@ -156,7 +156,7 @@ def _pictures(
 
 
 def _verdict(name: str, tests: Tests, plan: Analysis) -> str:
-    """Which methods differ, over all targets."""
+    """Methods that differ, over all targets."""
     unit, word = _SHOWN[tests.measure]
     found = [p for p in tests.pairs.to_dict("records") if not p["where"] and p["p"] < plan.alpha]
     said = [

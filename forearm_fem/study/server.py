@@ -123,7 +123,7 @@ def _page(name: str) -> str:
 
 
 def _state(session: Session, levels: str, *, led: bool) -> dict[str, Any]:
-    """How the session stands, for the experimenter who leads it, or for the participant."""
+    """State of the session, for the experimenter who leads it, or for the participant."""
     view = session.view()
     if not led:
         return view | {"problem": bool(view["problem"])}  # its words may name the method

@@ -25,7 +25,7 @@ Waiting = Literal["consent", "start", "stimulus", "playing", "answer", "break", 
 
 @dataclass(frozen=True)
 class Presented:
-    """What a player reports: ``seconds`` of stimulus and the largest drive ``peak_voltage`` [V]."""
+    """Report of a player: ``seconds`` of stimulus and the largest drive ``peak_voltage`` [V]."""
 
     seconds: float
     peak_voltage: float
@@ -84,7 +84,7 @@ class Session:
         return self._trials[self._answered] if self._answered < len(self._trials) else None
 
     def view(self) -> dict[str, Any]:
-        """What both pages may know: no method, no target, no level."""
+        """State for both pages: no method, no target, no level."""
         with self._lock:
             left = max(0.0, self._break_until - self._clock())
             trial = self.current

@@ -70,7 +70,7 @@ def motion(moved: FloatArray, sample_rate: float, seconds: float) -> Motion:
 
 
 def offsets(options: Stimuli, base: Path, participant: str) -> dict[Key, float]:
-    """What ``levels`` adds to equal levels [dB]: nothing, its table, or its file's lines, a participant's own first.
+    """Offsets from equal levels [dB] by ``levels``: none, its table, or its file's lines, a participant's own first.
 
     ScenarioError for a file that cannot be read or leaves a method at a target out.
     """
@@ -235,7 +235,7 @@ def stimuli_for(
 
 
 def _moved(placed: Placed, signals: FloatArray, kept: BoolArray, target: str, fade: float) -> Motion:
-    """What G makes of the faded ``signals`` at the target."""
+    """Motion at the target by G of the faded ``signals``."""
     record = placed.record
     whole = np.zeros((len(signals), record.n))
     whole[:, kept] = faded(signals, round(fade * record.sample_rate))

@@ -1,4 +1,4 @@
-"""What a study leaves on disk: tables as BIDS lays them out, one line per answer, safe before the next stimulus plays.
+"""Study on disk: tables as BIDS lays them out, one line per answer, safe before the next stimulus plays.
 
 ``participants.tsv`` (pseudonyms, age, sex, consent, status), and per participant ``beh/sub-ID_task-NAME_events.tsv``
 with a data dictionary beside it. Lines are appended and flushed to the disk; a line cut short by a power failure is
@@ -156,7 +156,7 @@ class StudyStore:
                 self._change(name, changed)
 
     def consented(self, participant: str) -> bool:
-        """Whether a participant's consent is recorded."""
+        """True if a participant's consent is recorded."""
         return any(p["participant_id"] == f"sub-{participant}" and p["consent"] != "n/a" for p in self.people())
 
     def consent(self, participant: str, day: str, text: str) -> None:
@@ -206,7 +206,7 @@ class StudyStore:
         self._change(name, {**{k: "n/a" for k in self._columns() if k not in stays}, "status": "withdrawn"})
 
     def events_file(self, participant: str, task: str) -> Path:
-        """Where the answers of a participant to a task lie."""
+        """File of the answers of a participant to a task."""
         return self.folder / f"sub-{participant}" / "beh" / f"sub-{participant}_task-{task}_events.tsv"
 
     def answers(self, participant: str, task: str) -> list[dict[str, str]]:
@@ -260,7 +260,7 @@ def _checked_date(name: str, day: str) -> None:
 
 
 def _take_off_torn_line(file: Path) -> None:
-    """What follows the last line end was cut short by a power failure and counts as never answered."""
+    """Removal of a line cut short by a power failure, which counts as never answered."""
     with file.open("rb+") as stream:
         size = stream.seek(0, os.SEEK_END)
         if size and stream.seek(-1, os.SEEK_END) is not None and stream.read(1) != b"\n":

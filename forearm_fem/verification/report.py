@@ -23,7 +23,7 @@ def verification_table(rows: Sequence[Row]) -> str:
 
 
 def count_met(rows: Sequence[Row]) -> str:
-    """How many rows are met, and which comes nearest to its tolerance."""
+    """Number of rows met, and the one nearest to its tolerance."""
     met, weak = sum(r.met for r in rows), weakest(rows)
     return (
         f"{met} of {len(rows)} rows met. Weakest: *{weak.case}*, {weak.quantity}: "

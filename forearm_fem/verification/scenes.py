@@ -47,7 +47,7 @@ class Row:
 
     @property
     def met(self) -> bool:
-        """Whether the error is a number and within its tolerance."""
+        """True if the error is a number and within its tolerance."""
         return math.isfinite(self.error) and self.error <= self.tolerance
 
 

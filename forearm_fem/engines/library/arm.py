@@ -54,9 +54,14 @@ class _Part:
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """What a scenario asks of any limb: p ports at flat ``places``, then what rigid discs are held against: bonded ones
-    along u, along v, and all against tilt along u, along v. ``owner`` (m,) is the port of each, ``way`` (m,) 0 along
-    the normal, 1 along the skin, 2 of tilts, and ``twin`` the flat twin of all m."""
+    """Compliances that a scenario asks of any limb.
+
+    ``places``: of p ports, flat; then of constraints of rigid discs: bonded along u and v, and tilt along u and
+    v.
+    ``owner`` (m,): port of each row.
+    ``way`` (m,): 0 along the normal, 1 along the skin, 2 tilt.
+    ``twin``: layered model of all m.
+    """
 
     ports: tuple[Port, ...]
     frequency: FloatArray
@@ -256,8 +261,8 @@ class ArmLibrary:
         return np.asarray(left * self._by_distance(self.spread[part.number], asked))
 
     def _missed(self, asked: _Asked) -> FloatArray:
-        """What the reduced model is off by (n_frequency, m, m) [m/N], by distance and direction; its logarithm is
-        linear between the frequencies checked. The slope of that is no more than the shortest wave has."""
+        """Error of the reduced model (n_frequency, m, m) [m/N] by distance and direction. Its logarithm is linear
+        between the frequencies checked; its slope is at most that of the shortest wave."""
         least, checked = np.finfo(float).tiny, self.reduction[0]
         share = np.array([np.interp(asked.frequency, checked, one) for one in np.eye(len(checked))])
         each = np.array([self._by_distance(of, asked) for of in self.missed])

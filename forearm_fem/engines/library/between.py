@@ -55,7 +55,7 @@ class Bands:
 
 
 # From loads on a lattice to any disc or point: Gaussian-process regression with a prior of waves.
-# What the limb's response differs from its flat twin's is smooth: waves no shorter than the tissues' carry it. Its
+# The limb's difference from its layered model is smooth: waves no shorter than the tissues' carry it. Its
 # prior is :math:`E|\hat d(k)|^2\propto(1+k^2/\kappa^2)^{-p}` with kappa a multiple of the shortest wavenumber, for the
 # place of the source and that of the receiver alike. Bells on the lattice have the transform :math:`e^{-k^2w^2/2}`,
 # rigid discs :math:`\sin ka/ka`, the tilt of these ik times :math:`3j_1(ka)/ka`, pressure :math:`2J_1(ka)/ka`, points
@@ -72,7 +72,7 @@ _X, _W = np.polynomial.legendre.leggauss(_NODES)
 
 @dataclass(frozen=True)
 class Shape:
-    """How a port spreads its force: the ``kind`` of its transform and its ``size`` [m], radius or width."""
+    """Force distribution of a port: the ``kind`` of its transform and its ``size`` [m], radius or width."""
 
     kind: str
     size: float
@@ -163,7 +163,7 @@ class Lattice:
         return found, np.stack([np.full(seen.shape[1], own), np.minimum(np.einsum("nk,nk->k", seen, found), own)])
 
     def left_out(self, values: ComplexArray) -> ComplexArray:
-        """What each row of ``values`` (n, n) is off when it is found from the others, in units of its prior spread."""
+        """Leave-one-out residuals of the rows of ``values`` (n, n), in units of the prior's spread."""
         return np.asarray((self.inverse @ values) / np.sqrt(self.inverse.diagonal())[:, None])
 
 

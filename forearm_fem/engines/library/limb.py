@@ -87,7 +87,7 @@ class Limb:
 
 
 def _near(poles: ComplexArray, omega: FloatArray) -> BoolArray:
-    """Whether each of ``poles`` (m,) [1/s] keeps a Chebyshev rule in the root of ``omega`` [rad/s] from converging."""
+    """True where ``poles`` (m,) [1/s] keep a Chebyshev rule in the root of ``omega`` [rad/s] from converging."""
     low, high = np.sqrt(omega.min()), np.sqrt(omega.max())
     if not high > low:
         return np.zeros(len(poles), dtype=bool)

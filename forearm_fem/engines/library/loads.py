@@ -81,7 +81,7 @@ def _distances(some: FloatArray, others: FloatArray) -> FloatArray:
 
 
 def _number(distances: FloatArray, some: FloatArray, others: FloatArray) -> IntArray:
-    """Which of ``distances`` each pair (n, m) has."""
+    """Indices into ``distances`` for each pair (n, m)."""
     return np.searchsorted(distances, _distances(some, others))
 
 

@@ -67,7 +67,7 @@ def save_library(path: str | Path, library: ArmLibrary) -> None:
 
 
 def is_library(path: str | Path) -> bool:
-    """Whether the file says of itself that it holds an arm's library; of this version or not, whole or not."""
+    """True if the file says of itself that it holds an arm's library; of this version or not, whole or not."""
     return said_content(path) == LibraryFile.kind
 
 
@@ -125,7 +125,7 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
 
 
 def _seconds(side: Side | None) -> float:
-    """What a part took, in all calls that it was made in."""
+    """Seconds that a part took, over all calls that made it."""
     return 0.0 if side is None else sum(s for name, s in side.facts.items() if name.startswith("seconds_"))
 
 
@@ -167,7 +167,7 @@ def _grid(sides: list[FloatArray]) -> FloatArray:
 
 
 def _check_size(scenario: Scenario, loads: int) -> None:
-    """What answering would hold of the flat twin alone, said before hours of solving."""
+    """Check, before hours of solving, that the answers' layered model fits into memory."""
     need = 16 * Bands.of(*library_band(scenario)).nodes.size * loads**2
     if need > scenario.solver.memory_limit:
         raise ScenarioError(

@@ -108,7 +108,7 @@ class _Space:
         self.remove = self._shelf.remove
 
     def progressed(self, start: Progressed) -> Progressed:
-        """As far as it got: ``start``, the empty space, where nothing was kept."""
+        """Last state kept; ``start``, the empty space, where nothing was kept."""
         if (data := self._shelf.get("space")) is None:
             return start
         kept = [self._shelf.get(f"columns-{k}") for k in range(data["blocks"])]
@@ -209,7 +209,7 @@ def _spanned(
 
 
 def _without_columns(state: Progressed) -> Progressed:
-    """What poles follow from: the columns themselves are gigabytes, and direct solves come next."""
+    """State that poles follow from, without its columns: they are gigabytes, and direct solves come next."""
     return replace(state, reduced=replace(state.reduced, basis=Basis()))
 
 
@@ -269,7 +269,8 @@ def _reduction_error(
     loaded: LoadedSkin,
     frequency: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """What the limb's poles are off by between some of the bells, against direct solves, at each frequency checked.
+    """Reduction error of the limb's poles between some Gaussian loads, against direct solves at each frequency
+    checked.
 
     The largest over the largest compliance between bells some widths apart (2, n), of those along the normal and of
     those along the skin (NaN without); and :func:`_farther` (n, 3, n_bin) [m/N].

@@ -151,7 +151,7 @@ def _inverse(v: float, lengths: FloatArray, y: FloatArray) -> float:
 
 
 def _across(vectors: FloatArray, axes: FloatArray) -> FloatArray:
-    """What ``vectors`` (n, 3) have across the unit vectors ``axes`` (n, 3)."""
+    """Components of ``vectors`` (n, 3) across the unit vectors ``axes`` (n, 3)."""
     return np.asarray(vectors - (vectors * axes).sum(axis=1)[:, None] * axes)
 
 

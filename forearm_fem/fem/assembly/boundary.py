@@ -20,7 +20,7 @@ from .tissues import scatter, scatter_blocks
 
 # Real matrices of boundary terms: dashpots, foam, surface mass, membrane and pre-stress.
 
-# Whether points (k, q, 3) with outward normals (k, q, 3) belong to what is integrated over
+# True where points (k, q, 3) with outward normals (k, q, 3) belong to the surface of integration
 Covered = Callable[[FloatArray, FloatArray], BoolArray]
 _PIECES = 6  # along each side of a facet that is covered in part
 _MORE = 2  # degrees of the rule beyond what is exact on plane facets: the measure of bent ones is no polynomial
@@ -37,7 +37,7 @@ def under_rectangle(length: float, width: float) -> Covered:
     """The part of a surface that a rectangle about the origin covers seen from above, sides [m] along x and y."""
 
     def covered(points: FloatArray, normals: FloatArray) -> BoolArray:
-        """Which points of the volar side lie within it."""
+        """True where points of the volar side lie within it."""
         inside = np.abs(points[..., :2]) <= [length / 2, width / 2]
         return np.asarray(inside.all(axis=-1) & (normals[..., 2] > 0))
 
@@ -45,7 +45,7 @@ def under_rectangle(length: float, width: float) -> Covered:
 
 
 def rests(points: FloatArray, normals: FloatArray) -> BoolArray:
-    """Which points of a skin rest on foam: those whose outward normals point down, n_z < -0.5."""
+    """True where a skin's points rest on foam: their outward normals point down, n_z < -0.5."""
     return np.asarray(normals[..., 2] < DOWN)
 
 

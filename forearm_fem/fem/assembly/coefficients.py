@@ -69,7 +69,7 @@ class Impedance:
 
 
 def is_polynomial(coefficient: Coefficient) -> bool:
-    """Whether it is a real polynomial in i omega of second degree at most (a hysteretic modulus is a complex one).
+    """True if it is a real polynomial in i omega of second degree at most (a hysteretic modulus is a complex one).
 
     Asked at 1 rad/s: at zero a springpot has no series, and a hysteretic modulus is real.
     """
@@ -110,7 +110,7 @@ def rate_weights(coefficients: Sequence[Coefficient], rate: float) -> FloatArray
 
 
 def grouped(coefficients: Sequence[Coefficient]) -> list[tuple[FloatArray, Coefficient]]:
-    """As few sums of terms as A(omega) can be made of: weights (n_term,), and what each sum is multiplied with.
+    """Sums of terms, as few as A(omega) can be made of: weights (n_term,) and the coefficient of each sum.
 
     All polynomial terms together are a constant, i omega and -omega^2; each other term stays alone.
     """
@@ -122,7 +122,7 @@ def grouped(coefficients: Sequence[Coefficient]) -> list[tuple[FloatArray, Coeff
     return [(weights, c) for weights, c in common if weights.any()] + list(others)
 
 
-# What each term of the operator is multiplied with, by its name: the affine parameters of a model.
+# Coefficients of the operator's terms, by name: the affine parameters of a model.
 
 _ONE, _NO_PATCH = Polynomial(1.0), Patch()
 

@@ -87,7 +87,7 @@ class AffineOperator:
 
     @cached_property
     def diagonal_positions(self) -> IntArray:
-        """Where the diagonal stands in the data: the first entry of each row."""
+        """Positions of the diagonal in the data: the first entry of each row."""
         return self.indptr[:-1]
 
     def multiply(self, data: ComplexArray, x: ComplexArray | FloatArray) -> ComplexArray:

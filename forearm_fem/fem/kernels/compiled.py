@@ -84,7 +84,7 @@ def _blas(modules: int) -> ThreadpoolController:
     return ThreadpoolController().select(user_api="blas")
 
 
-# What glibc does with freed memory: kept while large arrays come and go, given back at turns of the work.
+# Freed memory in glibc: kept while large arrays come and go, given back at turns of the work.
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _MMAP_MAX = -1, -3, -4  # of <malloc.h>
 _NEVER, _USUAL_MAPS = -1, 65536

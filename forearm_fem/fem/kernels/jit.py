@@ -45,15 +45,15 @@ class KeptCode(_Cache):
 
     @property
     def cache_path(self) -> str:
-        """Where the files lie."""
+        """Folder of the files."""
         return str(self.folder)
 
     def is_kept(self) -> bool:
-        """Whether the kernel was compiled before, for any signature."""
+        """True if the kernel was compiled before, for any signature."""
         return any(self.folder.glob(f"{self.name}-*.nbc"))
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """What was compiled for ``sig``, or None."""
+        """Code compiled for ``sig``, or None."""
         target_context.refresh()
         try:
             kept = pickle.loads(self._file(sig, target_context.codegen()).read_bytes())
@@ -90,7 +90,7 @@ class KeptCode(_Cache):
 
 @lru_cache
 def kernels_folder() -> Path | None:
-    """Where this version's kernels are kept: in $NUMBA_CACHE_DIR, the user's cache, or a private temporary folder.
+    """Folder of this version's kernels: in $NUMBA_CACHE_DIR, the user's cache, or a private temporary folder.
 
     None where none of them can be written: then each process compiles for itself.
     """

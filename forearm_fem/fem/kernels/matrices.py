@@ -137,11 +137,11 @@ class SymmetricMatrices:
         return csr_array((self.data[start:end], self.indices[start:end], self.indptr[t] - start), shape=(self.n,) * 2)
 
     def touching(self, rows: slice) -> list[int]:
-        """Which matrices have entries in ``rows``."""
+        """Indices of the matrices with entries in ``rows``."""
         return np.flatnonzero(self.indptr[:, rows.stop] > self.indptr[:, rows.start]).tolist()
 
     def products(self, x: NDArray[Any]) -> Callable[[int, slice], FloatArray]:
-        """What gives some rows (m, k) of A_t x, for t and these rows.
+        """Function that gives some rows (m, k) of A_t x, for t and these rows.
 
         ``x`` (n, k) are real columns, in single or double precision.
 

@@ -50,7 +50,7 @@ def _threading_layer() -> str | None:
 
 
 def available() -> bool:
-    """Whether nvmath-python is installed and there is a device."""
+    """True if nvmath-python is installed and there is a device."""
     return importlib.util.find_spec("nvmath") is not None and device_count() > 0
 
 
@@ -140,7 +140,7 @@ class CudssFactor:
 
 
 def _told(call: Callable[[], T]) -> T:
-    """What ``call`` returns; what the library raises, of many classes, becomes a named error."""
+    """Result of ``call``; exceptions of the library, of many classes, become a named error."""
     try:
         return call()
     except Exception as problem:

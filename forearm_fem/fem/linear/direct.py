@@ -161,13 +161,14 @@ class TaylorRecursion:
         return whole
 
     def _total(self, k: int, later: int, x: ComplexArray) -> ComplexArray:
-        """What coefficient k's part of a later right-hand side is added to: itself where their columns are the same."""
+        """Array that coefficient k's part of a later right-hand side is added to: itself where their columns are the
+        same."""
         if later in self._sums and self._going_on(k, later).all():
             return self._sums[later]
         return np.zeros(x.shape, dtype=complex)
 
     def _going_on(self, before: int, k: int) -> BoolArray:
-        """Which columns of coefficient ``before`` coefficient ``k`` has as well."""
+        """True where columns of coefficient ``before`` go on in coefficient ``k``."""
         return np.asarray(self._orders[self._orders >= before] >= k)
 
 

@@ -103,7 +103,7 @@ class Multiplied(Protocol):
 
 
 class Factor(Protocol):
-    """What every direct solver offers; the pattern is analysed once, values change with frequency."""
+    """Interface of direct solvers; the pattern is analysed once, values change with frequency."""
 
     @property
     def name(self) -> str:
@@ -112,7 +112,7 @@ class Factor(Protocol):
 
     @property
     def single(self) -> bool:
-        """Whether the factors are in single precision now."""
+        """True if the factors are in single precision now."""
         ...
 
     def factorise(self, data: ComplexArray | FloatArray) -> None:
@@ -246,7 +246,7 @@ class CautiousFactor:
 
 
 def _compiles() -> bool:
-    """Whether METIS and numba are there, and a place for what numba compiles."""
+    """True if METIS and numba are there, and a place for what numba compiles."""
     return importlib.util.find_spec("pymetis") is not None and compiled("linear.multifrontal.factor") is not None
 
 
@@ -288,7 +288,8 @@ def choose_backend(backend: Backend, n: int, *, single: bool = True) -> str:
 
 
 def _faster(single: bool) -> str:
-    """What would bring another solver on this machine, "" if nothing would: MKL is made for x86 outside macOS alone."""
+    """Sentence on how to get a faster solver on this machine, "" without one: MKL is made for x86 outside macOS
+    alone."""
     if platform.machine().lower() in ("x86_64", "amd64") and sys.platform != "darwin":
         return "install MKL (python3 -m pip install mkl), "
     if not single:

@@ -92,8 +92,9 @@ class Basis:
         return total
 
     def subtracted_in_place(self, columns: NDArray[np.float32], n_u: int) -> FloatArray:
-        """What the blocks' first ``n_u`` rows have of ``columns`` (n, k) in single precision, (r, k), which is taken
-        from all rows; block by block, so that what is left of blocks that are not quite orthogonal is taken, too."""
+        """Coefficients (r, k) of ``columns`` (n, k) in the blocks' first ``n_u`` rows, in single precision, taken
+        from all rows. Block by block, so that the rest that blocks leave, which are not quite orthogonal, is taken
+        too."""
         known = []
         for block in self.blocks:
             known.append(block[:n_u].T @ columns[:n_u])
@@ -192,7 +193,7 @@ def orthonormal_extension(
 
 
 def rough_extension(basis: Basis, blocks: Sequence[FloatArray], n_u: int, *, drop: float) -> list[NDArray[np.float32]]:
-    """What ``blocks`` (n, k) in turn add to the space, in single precision (:func:`orthonormal_extension`).
+    """New columns of ``blocks`` (n, k), in turn and in single precision (:func:`orthonormal_extension`).
 
     Seven times as fast on hundreds of columns. What is added is orthonormal to the basis to 1e-6 / ``drop``: enough
     where solutions are asked to 1e-4, as products of the columns are formed of what they are.

@@ -116,7 +116,7 @@ def undamped_modes(reduced: ReducedModel, frequency: FloatArray) -> UndampedMode
 
 
 def sharp_modes(reduced: ReducedModel, frequency: FloatArray, loss: float) -> int:
-    """How many modes of the reduced model resonate in the band with a loss factor below ``loss``.
+    """Number of modes of the reduced model that resonate in the band with a loss factor below ``loss``.
 
     That is a Rayleigh quotient: right long before the mode is.
     """
@@ -256,8 +256,12 @@ class Certificate:
 
 @dataclass(frozen=True)
 class Doubt:
-    """Where the reduced model is doubted most, and its largest ``change`` anywhere (relative to the largest entry) or,
-    where resonances are sharp, the largest bound of its error; ``wary`` says that this is stated, too."""
+    """Frequency at which the reduced model is doubted most.
+
+    ``change``: largest anywhere, relative to the largest entry; where resonances are sharp, the largest error
+    bound.
+    ``wary``: True where the bound is stated, too.
+    """
 
     frequency: float
     change: float

@@ -76,7 +76,7 @@ def _process(part: str) -> subprocess.Popen[bytes]:
 
 
 def are_kept(kernel: Any) -> bool:
-    """Whether ``kernel`` was compiled by this version before, or could not be kept for another process."""
+    """True if ``kernel`` was compiled by this version before, or could not be kept for another process."""
     kept = getattr(kernel._cache, "is_kept", None)
     return kept is None or bool(kept())
 

@@ -1,4 +1,5 @@
-"""What reduced models are made of: derivatives of solutions about a rate or frequencies, kept between runs."""
+"""Expansions that reduced models are made of: derivatives of solutions about a rate or frequencies, kept between
+runs."""
 
 from __future__ import annotations
 
@@ -259,7 +260,7 @@ class Expander:
         return made if change <= wanted else None
 
     def most_doubtful(self, made: Made, frequency: FloatArray) -> Doubt | None:
-        """Where to certify next; None where no bin is left that was not compared or expanded about.
+        """Next frequency to certify; None where every bin was compared or expanded about.
 
         Where resonances are sharp it is the bin with the largest bound. Models of incompressible tissue keep each
         displacement's own pressure, and what solves leave in weak directions shows anywhere in the band: one true error
@@ -302,7 +303,7 @@ class Expander:
 
 
 def starts_from_rate(model: ForearmModel, options: ReducedSolve) -> bool:
-    """Whether the reduced model starts from a rate; SolverError where that is asked for and moduli do not allow it."""
+    """True if the reduced model starts from a rate; SolverError where that is asked for and moduli do not allow it."""
     able = all(is_polynomial(t.coefficient) for t in model.operator.terms)
     if options.start == "rate" and not able:
         raise SolverError(

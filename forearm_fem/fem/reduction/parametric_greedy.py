@@ -279,7 +279,7 @@ class United:
 
 @dataclass(frozen=True)
 class Growth:
-    """How much work is put into a model.
+    """Effort put into a model.
 
     It starts from so many derivatives about a ``rate``. Direct ``solves`` extend the space, each with derivatives by
     frequency, ``of_contacts`` and ``of_points``; ``checks`` follow. The band is cut into ``parts``, equal in the root
@@ -401,7 +401,7 @@ def _read_piece(kept: Shelf, model: ForearmModel, number: int) -> Piece | None:
 def _made_check(
     work: Growing, kept: Shelf, number: int, place: Place, piece: Piece, draws: Sequence[Coefficients]
 ) -> TrialSolve:
-    """What a finished ``piece`` says at a place, against a direct solution."""
+    """Answer of a finished ``piece`` at a place, against a direct solution."""
     whole, core = piece.change(draws[place[0]], place[1])
     check = TrialSolve(*place, *work.errors(whole, core, place))
     kept.put(f"check-{number}", {"check": np.array(astuple(check), dtype=float)})

@@ -41,7 +41,7 @@ class Summed:
         return cls(reduced, flat.reshape(-1, size, size), tuple(c for _, c in sums))
 
     def theta(self, frequency: FloatArray) -> ComplexArray:
-        """What the sums are multiplied with at ``frequency`` (n,) [Hz], (n, k)."""
+        """Coefficients of the sums at ``frequency`` (n,) [Hz], (n, k)."""
         omega = 2 * np.pi * np.asarray(frequency, dtype=float)
         return np.array([np.broadcast_to(c.at(omega), omega.shape) for c in self.coefficients], dtype=complex).T
 
@@ -55,7 +55,7 @@ class Summed:
         return _solution(matrix.reshape(size, size).T, _right(self.reduced) if right is None else right)
 
     def compliance(self, frequency: FloatArray) -> ComplexArray:
-        """As :func:`quick_compliance`."""
+        """Compliance by :func:`quick_compliance`."""
         reduced, right = self.reduced, _right(self.reduced)
         found = [reduced.functionals.T @ self.solution(f, right) for f in np.asarray(frequency, dtype=float).tolist()]
         return np.asarray(np.array(found, dtype=complex).reshape(-1, *reduced.shares.shape * 2) * reduced.shares)

@@ -40,7 +40,7 @@ class Pairs:
 
     @property
     def count(self) -> int:
-        """How many pairs m there are."""
+        """Number m of pairs."""
         return int(self.upper.shape[1])
 
     def padded(self, rows: int) -> Pairs:
@@ -138,7 +138,7 @@ class RateSpace:
 
     @property
     def _number(self) -> type[np.float32] | type[np.float64]:
-        """What columns are kept in: rounding to single precision is a tenth of what single-precision solves leave."""
+        """Number type of columns: rounding to single precision is a tenth of what single-precision solves leave."""
         rough = self._solver.factor.single and self._solver.tolerance >= ENOUGH
         return np.float32 if rough else np.float64
 

@@ -114,7 +114,7 @@ class ReducedModel:
 
 
 def _static(coefficient: Coefficient) -> float:
-    """What a term keeps without inertia."""
+    """Static value of a term, without inertia."""
     known = polynomial_of(coefficient)
     return float(complex(coefficient.at(np.array(_TYPICAL))).real) if known is None else known[0]
 
@@ -215,7 +215,7 @@ def condensed(coupling: FloatArray, storage: FloatArray) -> FloatArray:
 
 
 def compressible(operator: AffineOperator) -> bool:
-    """Whether all pressures compress something: where tissue is incompressible their energy says nothing of them."""
+    """True if all pressures compress something: where tissue is incompressible their energy says nothing of them."""
     storage = next(t for t in operator.terms if t.name == _STORAGE)
     return bool((operator.term_matrix(storage).diagonal()[operator.n_displacements :] < 0).all())
 

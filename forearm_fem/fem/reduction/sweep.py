@@ -52,7 +52,7 @@ class SweepResult:
 
     @property
     def factorisations(self) -> int:
-        """How many the reduced model took, certificates included."""
+        """Number of factorisations of the reduced model, certificates included."""
         compared = (c.frequency for c in self.certificates if c.by != "residual")
         return bool(self.rate) + len({*self.expansions, *compared})
 

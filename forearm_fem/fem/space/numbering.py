@@ -128,7 +128,7 @@ class MixedSpace:
 
     @cached_property
     def offsets(self) -> FloatArray:
-        """How far (n_tet, 6, 3) [m] the middles of edges lie off their chords, as :meth:`.Bends.of` has them.
+        """Offsets (n_tet, 6, 3) [m] of the middles of edges from their chords, as :meth:`.Bends.of` has them.
 
         First-order elements are left straight: what they can follow of a bent edge is less than it changes.
         """
@@ -138,7 +138,7 @@ class MixedSpace:
 
     @cached_property
     def is_bent(self) -> BoolArray:
-        """Which tetrahedra (n_tet,) have an edge that bends."""
+        """True where a tetrahedron (n_tet,) has an edge that bends."""
         return np.asarray(self.offsets.any(axis=(1, 2)))
 
     def jacobians_at(self, tetrahedra: IntArray, points: FloatArray) -> FloatArray:

@@ -142,7 +142,7 @@ class _Weights:
 
 
 def _spread(space: MixedSpace, edges: _Edges) -> tuple[csr_array, IntArray]:
-    """What displacement nodes follow from, and the numbers of those kept."""
+    """Interpolation of displacement nodes from those kept, and the numbers of these."""
     node, first = np.unique(space.nodes[:, 16:20], return_index=True)
     tet, local = first[:, None] // 4, first % 4
     faces = _Faces(node, space.nodes[tet, _CORNERS[local]], edges.number[tet, _SIDES[local]])
@@ -177,7 +177,8 @@ def _put_centres(weights: _Weights, faces: _Faces, edges: _Edges) -> None:
 
 
 def _spread_pressures(space: MixedSpace, cubic: BoolArray) -> tuple[csr_array, IntArray]:
-    """What pressure nodes follow from, and the numbers of those kept; ``cubic`` (n_tet,) may have quadratic ones."""
+    """Interpolation of pressure nodes from those kept, and the numbers of these; ``cubic`` (n_tet,) may have
+    quadratic ones."""
     middle, first = np.unique(space.pressures[:, 4:], return_index=True)
     linear = np.zeros(space.n_pressures, dtype=bool)
     linear[space.pressures[~cubic, 4:]] = True

@@ -1,1 +1,1 @@
-"""Where the device meets the limb: places, rims and element sizes."""
+"""Device on the limb: places, rims and element sizes."""

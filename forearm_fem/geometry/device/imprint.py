@@ -105,7 +105,7 @@ def _nearest(points: FloatArray, edges: IntArray, port: Port) -> FloatArray:
 
 
 def _cut(points: FloatArray, edges: IntArray, port: Port) -> FloatArray:
-    """Where edges (k, 2) pass through the cylinder about the contact's axis."""
+    """Intersections of edges (k, 2) with the cylinder about the contact's axis."""
     start, d = _projected(points, edges, port)
     a, b, c = (d**2).sum(1), (start * d).sum(1), (start**2).sum(1) - port.radius**2
     root = np.sqrt(np.maximum(b**2 - a * c, 0))

@@ -1,4 +1,4 @@
-"""Where contacts and grid points lie in the plane, and which layers a limb has."""
+"""Layout of contacts and grid points in the plane, and layers of a limb."""
 
 from __future__ import annotations
 

@@ -256,7 +256,7 @@ def landed(what: str, xy: FloatArray, skin: Skin, remedy: str = "move it") -> tu
 
 
 def _inwards(scenario: Scenario, kind: str) -> str:
-    """Which keys move a port of a ``kind`` towards the middle."""
+    """Keys that move a port of a ``kind`` towards the middle."""
     if kind == "contact":
         rows = "reduce device.spacing or device.spacing_y"
         return rows if isinstance(scenario.device, Rows) else "move its place in device.contacts"
@@ -265,7 +265,7 @@ def _inwards(scenario: Scenario, kind: str) -> str:
 
 
 def _larger(limb: Limb) -> str:
-    """Which keys make room on a limb."""
+    """Keys that make room on a limb."""
     if isinstance(limb, ForearmLimb):
         return "enlarge limb.length or limb.circumference"
     if isinstance(limb, CylinderLimb):
@@ -308,7 +308,7 @@ class GridPlaces:
         return np.asarray((np.array(self.centres)[:, None] + around).reshape(-1, 2))
 
     def hold(self, scenario: Scenario) -> bool:
-        """Whether each point of a ``scenario``'s grid lies in the square of the centre of its number."""
+        """True if each point of a ``scenario``'s grid lies in the square of the centre of its number."""
         apart = self._apart(scenario)
         return apart is not None and bool(np.abs(apart).max() <= 1 + 1e-9)
 

@@ -55,7 +55,7 @@ def near_ports(mesh: TissueMesh, ports: tuple[Port, ...], reach: float, depth: f
 
 
 def tissue_depths(mesh: TissueMesh) -> IntArray:
-    """How many tissues (n_region,) lie between each tissue and the skin's surface."""
+    """Number of tissues between each tissue and the skin's surface, (n_region,)."""
     depth = np.full(len(mesh.region_names), len(mesh.region_names))
     touched, here = np.isin(mesh.tetrahedra, mesh.facets["skin"]).sum(axis=1) >= 3, 0
     while touched.any():
@@ -104,9 +104,11 @@ _THROUGH = 0.8  # a sublayer is at most about this much of the size between cont
 
 @dataclass(frozen=True)
 class _Rule:
-    """What the element pair changes: elements per shear wavelength, under contacts (in radii), at rigid rims
-    (relative to the size between contacts and grid, and in radii at most), on the limb's wall (facets relative to a
-    bone's), and :attr:`Sizes.rim_lead`."""
+    """Mesh sizes by element pair.
+
+    Elements per shear wavelength, under contacts (in radii), at rigid rims (relative to the size between contacts
+    and grid, and in radii at most), on the limb's wall (facets relative to a bone's), and :attr:`Sizes.rim_lead`.
+    """
 
     per_wavelength: float
     widest: float
@@ -178,7 +180,7 @@ def size_growth(scenario: Scenario, *, scale: float = 1.0) -> float:
 
 
 def _cone_on_slab(scenario: Scenario) -> bool:
-    """Whether rigid cones press a slab: meshes of other limbs keep the sizes that theirs were shipped with."""
+    """True if rigid cones press a slab: meshes of other limbs keep the sizes that theirs were shipped with."""
     return scenario.device.cone.contact in RIGID and isinstance(scenario.limb, SlabLimb)
 
 
@@ -272,7 +274,7 @@ def _tree(points: FloatArray) -> cKDTree:
     return cKDTree(finite, leafsize=32, compact_nodes=False, balanced_tree=False)
 
 
-# What can be said about a mesh before it is made, and why one failed: too many elements, too little room.
+# Forecast of a mesh's size, and reasons why one failed: too many elements, too little room.
 
 _PER_CUBE = 6 * np.sqrt(2)  # regular tetrahedra in the volume h^3
 _CERTAIN = 1.5  # meshes of slabs and limbs had 1.05 to 5 times as many as counted: this many too many are certain

@@ -50,7 +50,7 @@ def bent(mesh: TissueMesh, tube: Tube) -> TissueMesh:
 
 
 def bent_middles(tube: Tube) -> Middle:
-    """Where edges of a mesh of ``tube`` are bisected: on their parabolas, as chords may lie deep below the skin."""
+    """Points that bisect edges of a mesh of ``tube``: on their parabolas, as chords may lie deep below the skin."""
     return lambda mesh, edges: midpoints(mesh, edges) + _bends(mesh, tube).on(edges)
 
 

@@ -187,7 +187,7 @@ def without_slivers(
 
 
 def _alone(tetrahedra: IntArray, candidates: IntArray, rng: np.random.Generator, n: int) -> BoolArray:
-    """Which of ``n`` points move now: candidates of which no two share a tetrahedron."""
+    """True where one of ``n`` points moves now: candidates of which no two share a tetrahedron."""
     rank = np.full(n, -1.0)
     rank[candidates] = rng.random(len(candidates))
     beaten = (rank[tetrahedra] >= 0) & (rank[tetrahedra] < rank[tetrahedra].max(axis=1, keepdims=True))

@@ -47,7 +47,7 @@ class Rectangle:
     high: tuple[float, float]
 
     def inside(self, xy: FloatArray, margin: FloatArray | float = 0.0) -> BoolArray:
-        """Which of ``xy`` (n, 2) lie at least ``margin`` inside."""
+        """True where ``xy`` (n, 2) lie at least ``margin`` inside."""
         gap = np.minimum(xy - self.low, np.asarray(self.high) - xy).min(axis=1)
         return np.asarray(gap >= margin)
 

@@ -61,7 +61,7 @@ class _File:
 
     @property
     def body(self) -> _Body:
-        """What nodes and elements belong to now."""
+        """Body that nodes and elements belong to now."""
         return self.flat if self.now is None else self.parts[self.now]
 
 

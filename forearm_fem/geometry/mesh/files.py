@@ -151,7 +151,7 @@ def _by_kind(file: Path, ending: str, head: bytes) -> Any:
 
 
 def by_vtk(file: Path) -> Any:
-    """What VTK's own library reads of ``file``, which knows all its versions; what it complains of is raised."""
+    """Data set that VTK's own library reads from ``file``, of any version; its complaints are raised."""
     before = vtkLogger.GetCurrentVerbosityCutoff()
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
     try:

@@ -1,4 +1,4 @@
-"""Whether a mesh can be trusted: shape, closure, conformity, and nodes per wavelength."""
+"""Quality of a mesh: shape, closure, conformity, and nodes per wavelength."""
 
 from __future__ import annotations
 
@@ -203,8 +203,7 @@ def nodes_per_wavelength(
     ports: tuple[Port, ...] = (),
     reach: float = 0.006,
 ) -> tuple[Resolution, ...]:
-    """How well waves of ``f_max`` [Hz] are resolved, tissue by tissue, judged by the root-mean-square edge
-    of each element.
+    """Resolution of waves of ``f_max`` [Hz], tissue by tissue, by the root-mean-square edge of each element.
 
     ``speeds`` maps tissues to shear wave speeds [m/s], ``decay`` to 1/e decay lengths [m], both at ``f_max``;
     ``element`` is P1, P2, P2/P3 or P3. "Near" is within ``reach`` [m] of a port, or of a contact where none are given;

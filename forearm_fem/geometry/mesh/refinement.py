@@ -98,7 +98,7 @@ def _terminal_edges(mesh: TissueMesh, marked: BoolArray) -> IntArray:
 
 
 def independent(mesh: TissueMesh, edges: IntArray) -> IntArray:
-    """Those of ``edges`` (k, 2) that are the longest among them in every tetrahedron: no two share one."""
+    """Longest of ``edges`` (k, 2) in every tetrahedron that they touch: no two share one."""
     table, of_tet, _ = _edge_table(mesh)
     n = len(mesh.points)
     at = np.searchsorted(keys(table, n), keys(edges, n))

@@ -44,7 +44,7 @@ class Bends:
         return self.on(tetrahedra[:, EDGES].reshape(-1, 2)).reshape(-1, len(EDGES), 3)
 
     def chosen(self, which: BoolArray) -> Bends:
-        """Those of the edges that are marked in ``which`` (k,)."""
+        """Bends of the edges marked in ``which`` (k,)."""
         return Bends(self.edges[which], self.offsets[which])
 
 

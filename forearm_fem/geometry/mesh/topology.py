@@ -56,7 +56,7 @@ def boundary_faces(tetrahedra: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def is_member(rows: IntArray, of: IntArray, n_point: int) -> BoolArray:
-    """Which ``rows`` (n, k) occur among ``of`` (m, k), whatever the order within a row."""
+    """True where a row of ``rows`` (n, k) occurs among ``of`` (m, k), whatever the order within it."""
     return np.asarray(np.isin(keys(rows, n_point), keys(of, n_point)))
 
 

@@ -14,7 +14,7 @@ from ..limb.core import underside
 from ..mesh.tissue_mesh import TissueMesh, meeting
 from ..mesh.topology import SIDES, boundary_faces, edge_lengths, is_member, pieces, triangle_normals
 
-# Which tissue of the user's own limb the device meets, and which lies on the far side: files stand upside down.
+# Tissues of the user's own limb under the device and on the far side: files stand upside down.
 
 _UPRIGHT = 1e-30  # m^2: twice the area of a face seen from above
 _SLACK = 1e-9  # a place on an edge of the faces is over both
@@ -88,7 +88,7 @@ def _ball(triangles: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _pierces(edge: FloatArray, triangle: FloatArray) -> BoolArray:
-    """Whether edges (k, 2, 3) pass strictly through triangles (k, 3, 3) (Moeller and Trumbore)."""
+    """True where edges (k, 2, 3) pass strictly through triangles (k, 3, 3) (Moeller and Trumbore)."""
     start, along = edge[:, 0], edge[:, 1] - edge[:, 0]
     u, v = triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
     p = np.cross(along, v)
@@ -227,7 +227,7 @@ def _ends(points: FloatArray, faces: IntArray) -> BoolArray:
 
 
 def _cut_off(points: FloatArray, faces: IntArray, piece: BoolArray, across: BoolArray) -> bool:
-    """Whether most of the ``piece``'s rim, by length, is an edge where the surface turns away from x."""
+    """True if most of the ``piece``'s rim, by length, is an edge where the surface turns away from x."""
     sides = np.sort(faces[:, SIDES].reshape(-1, 2), axis=1)
     of = np.repeat(np.arange(len(faces)), 3)
     edges, count = np.unique(sides[piece[of]], axis=0, return_counts=True)

@@ -22,7 +22,7 @@ from ..mesh.topology import FACES, SIDES, boundary_faces, keys, mean_ratios, pie
 from .checks import check_extent, check_room, with_boundaries, without_bone
 from .surfaces import at_words
 
-# Whether somebody else's tetrahedra make one whole body; what is wrong is named by the cell's number in the file.
+# Checks of a foreign mesh: tetrahedra make one whole body; faults are named by the cell's number in the file.
 
 _JOINED = 1e-7  # of the body's size: vertices closer than this are one
 _HOLE = 24  # fewer facets around a cavity are cells that were lost, not a bone that was left out
@@ -197,8 +197,8 @@ def _tetrahedra(file: Path, read: Any) -> IntArray:
     if others:
         raise MeshError(f"{file}: contains {_some(sorted(others))} cells, but only tetrahedra can be used; split them")
     if not blocks:
-        found = _some(sorted(kinds)) or "nothing"
-        raise MeshError(f"{file}: contains no tetrahedra (only {found}); mesh the volume, not the surface")
+        found = f" (only {_some(sorted(kinds))})" if kinds else ""
+        raise MeshError(f"{file}: contains no tetrahedra{found}; mesh the volume, not the surface")
     return np.vstack(blocks).astype(np.int64)
 
 
@@ -332,15 +332,14 @@ def _groups(file: Path, read: Any, chosen: list[int]) -> dict[tuple[int, int], t
 
 
 def _named(number: int, groups: tuple[int, ...], names: dict[int, tuple[str, ...]]) -> tuple[str, ...]:
-    """What a number, and other groups of the same cells, are called, numbers among them."""
+    """Names of a number, and of other groups of the same cells, numbers among them."""
     if groups == (number,):
         return names.get(number, ())
     return tuple(n for g in groups for n in (*names.get(g, ()), str(g)))
 
 
 def _names(read: Any) -> dict[int, tuple[str, ...]]:
-    """What the file calls its numbers: gmsh's physical volumes, or the groups of MED's families, of which a cell may
-    have several."""
+    """Names of the file's numbers: gmsh's physical volumes, or the groups of MED's families, several a cell perhaps."""
     gmsh = {n: t for n, t in read.field_data.items() if np.shape(t) == (2,) and np.asarray(t).dtype.kind in "iu"}
     volumes = {int(tag[0]): (name,) for name, tag in gmsh.items() if int(tag[1]) == 3}
     return {**volumes, **{int(k): tuple(v) for k, v in getattr(read, "cell_tags", {}).items()}}

@@ -22,7 +22,7 @@ from .checks import check_extent, crossing_faces, with_boundaries, without_bone
 from .triangles import read_triangles
 from .volume import background_grid, cut_along, tetrahedralise
 
-# Whether somebody else's triangles close around a volume; what is wrong is named by number and place.
+# Checks of a foreign surface: triangles close around a volume; faults are named by number and place.
 
 _LEAST = 1e-12  # m^3
 

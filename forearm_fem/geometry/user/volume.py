@@ -168,7 +168,7 @@ def _close(mesh: TissueMesh, value: FloatArray, part: float) -> IntArray:
 
 
 def _freedom(mesh: TissueMesh) -> tuple[BoolArray, FloatArray]:
-    """Which vertices (n_point,) may move, and the normal (n_point, 3) they must not move along (zero inside)."""
+    """True where a vertex (n_point,) may move, and the normal (n_point, 3) it must not move along (zero inside)."""
     n = len(mesh.points)
     faces, _ = boundary_faces(mesh.tetrahedra)
     normal = triangle_normals(mesh.points, faces)

@@ -1,1 +1,1 @@
-"""How far one transfer matrix is from another, what that means for rendering, and fitting a model to it."""
+"""Distance of two transfer matrices, its meaning for rendering, and fitting a model to one."""

@@ -1,4 +1,4 @@
-"""How far two G agree, and where they differ."""
+"""Agreement of two G, and the bands, pairs and places where they differ."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ class Where:
 
 
 def where(ground: CommonGround) -> Where:
-    """Where B differs from A, in up to four bands of equal ratio of frequency."""
+    """Differences of B from A, in up to four bands of equal ratio of frequency."""
     f = ground.frequency
     edges = np.geomspace(f[0], f[-1], _BANDS + 1) if len(f) > 1 else np.array([f[0], f[0]])
     inside = [(f >= low) & ((f < high) | (high == edges[-1])) for low, high in pairwise(edges)]

@@ -1,4 +1,4 @@
-"""What a calibration is worth: renderers designed on one G and played through another."""
+"""Worth of a calibration: renderers designed on one G and played through another."""
 
 from __future__ import annotations
 

@@ -67,12 +67,12 @@ class FitResult:
 
     @property
     def identified(self) -> bool:
-        """Whether every parameter is determined and none sits on a bound."""
+        """True if every parameter is determined and none sits on a bound."""
         return not self.unknown and not self.at_bound
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What to say besides the numbers."""
+        """Remarks besides the numbers."""
         ends = tuple(
             f"{n} ended on its bound, of which its interval knows nothing: start it elsewhere (--set, where it is a "
             "scenario's key) or widen it, or the model is wrong"
@@ -280,8 +280,9 @@ def with_scattered_error(result: FitResult, moved: FloatArray) -> FitResult:
 
 
 def moved_by(model: Model, measured: TransferMatrix, result: FitResult, others: Sequence[ComplexArray]) -> FloatArray:
-    """How far the values move (n, k), in the fitted coordinates and to first order, where ``model`` at the fitted
-    values gave each of ``others``, G shaped like ``measured``, instead of what it gives.
+    """Change of the fitted values (n, k) by errors of the model, to first order in the fitted coordinates.
+
+    ``model`` at the fitted values gave each of ``others``, G shaped like ``measured``, instead of what it gives.
 
     One answer on another mesh may by chance move a value not at all; many in all directions do not.
     """

@@ -45,7 +45,7 @@ class NextBest:
 
     @property
     def sentence(self) -> str:
-        """What to measure next, or that nothing of this kind helps."""
+        """Advice on the next measurement, or that nothing of this kind helps."""
         if self.share > _WORTH:
             return (
                 f"next: no point and band asked about shrinks the widest interval, that of {self.parameter}, by a "
@@ -73,7 +73,7 @@ def candidates_of(frequency: FloatArray, outputs: Sequence[str], bands: int = 3)
 def next_best(
     result: FitResult, answer: Answer, frequency: FloatArray, outputs: Sequence[str], noise: float, bands: int = 3
 ) -> NextBest:
-    """What to measure next after a fit.
+    """Best next measurement after a fit.
 
     ``answer`` gives G (n, n_output, n_input) of all ``outputs`` at ``frequency`` (n,) [Hz] for values by name, without
     scale and delay; ``noise`` is the standard deviation of one entry as the data of ``result`` state theirs, or as the

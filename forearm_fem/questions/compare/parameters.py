@@ -31,7 +31,7 @@ from ...tissue import resolve_tissues
 from ...transfer import Compliance, TransferMatrix
 from ...typing import FloatArray
 
-# What a fit looks for, and how it says what it could not find.
+# Parameters of a fit, and sentences on those not found.
 
 _MEMBER = 0.3  # of a unit vector: parameters with this share belong to a combination
 
@@ -88,7 +88,7 @@ class Direction:
 
     @property
     def sentence(self) -> str:
-        """What the data cannot tell."""
+        """Combination of parameters that the data cannot tell."""
         names = [n for n, w in self.weights.items() if abs(w) >= _MEMBER]
         share = f"{100 * self.deviation:.0f} %" if self.deviation <= 1 else "more than all"
         if len(names) == 1:

@@ -13,7 +13,7 @@ from scipy.optimize import linear_sum_assignment
 from ...metrics.common_ground import CommonGround
 from ...typing import ComplexArray, FloatArray, IntArray
 
-# How near two transfer matrices are, and when what brings them nearer is a mistake and not another arm.
+# Distance of two transfer matrices, and the test for a mistake instead of another arm.
 # Nearness is s = ||A - B|| / sqrt(||A|| ||B||), as large for B a thousand times too small as for a thousand times too
 # large.
 
@@ -27,7 +27,7 @@ LARGE = 30.0  # a ratio of norms beyond this is said even where no reading helps
 
 
 def explains(base: float, shape_before: float, after: float, shape: float) -> bool:
-    """Whether distances and correlations before and after a reading are those of a mistake, not of another arm."""
+    """True if distances and correlations before and after a reading are those of a mistake, not of another arm."""
     nearer = after <= min(base / _BETTER, _NEAR)
     alike = shape >= _SHAPE and shape - shape_before >= _GAINED and after <= math.sqrt(LARGE + 1 / LARGE - 2 * shape)
     return nearer or alike or (base >= _FAR and after <= _NEARISH and shape >= _SHAPE)
@@ -43,7 +43,7 @@ def correlation(a: ComplexArray, b: ComplexArray) -> float:
     return float((a.conj() * b).real.sum() / (np.linalg.norm(a) * np.linalg.norm(b)))
 
 
-# Which channels, exchanged, would make two transfer matrices agree: plugs in the wrong sockets.
+# Exchanged channels, plugs in the wrong sockets, that would make two transfer matrices agree.
 # Data are never changed.
 
 _NAMED = 6  # ports a sentence names
@@ -63,7 +63,7 @@ class Exchange:
 
     @property
     def sentence(self) -> str:
-        """Which channels to exchange, how well the two agree then, and that nothing was done."""
+        """Channels to exchange, how well the two agree then, and that nothing was done."""
         sides = (("inputs", self.inputs), ("outputs", self.outputs))
         how = "agrees with" if self.after < AGREES else "comes nearest to"
         what = ", and ".join(f"its {side} {_spoken(cycles)}" for side, cycles in sides if cycles)
@@ -148,7 +148,7 @@ def _spoken(cycles: tuple[tuple[str, ...], ...]) -> str:
     return ", ".join(f"{' and '.join(c)} are {'exchanged' if len(c) == 2 else 'permuted'}" for c in cycles)
 
 
-# Which mistake of units, convention or wiring would explain that two transfer matrices differ; data are never changed.
+# Mistakes of units, convention or wiring that would explain a difference; data are never changed.
 # A *reading* multiplies B by a power of ten, a power of i omega and a phase e^{i omega tau}, conjugates it, or negates
 # channels. Each combination of these is tried and the simplest that brings B to A is named. Exchanged channels are
 # looked for as well (:mod:`.exchanges`). Not covered: gains that are no power of a thousand (said as a ratio), two
@@ -178,12 +178,12 @@ class Reading:
 
     @property
     def elements(self) -> int:
-        """How many mistakes it takes."""
+        """Number of mistakes it takes."""
         return sum(map(bool, (self.conjugate, self.power, self.thousands, self.advance, self.negated)))
 
     @property
     def sentence(self) -> str:
-        """What would make the two agree, how well, and that nothing was done."""
+        """Change that would make the two agree, how well, and that nothing was done."""
         how = "agrees with" if self.after < AGREES else "comes nearest to"
         return (
             f"B {how} A when it is {', '.join(self._parts())}: e_band {self.after:.2g} instead of {self.before:.2g}. "
@@ -279,7 +279,7 @@ def best_reading(ground: CommonGround) -> Reading | None:
 
 
 def _turned(ground: CommonGround, a: ComplexArray, b: ComplexArray, negated: tuple[str, ...]) -> bool:
-    """Whether each channel in ``negated`` by itself runs against ``a``; another arm does that to none."""
+    """True if each channel in ``negated`` by itself runs against ``a``; another arm does that to none."""
     names = [f"output {p.name}" for p in ground.outputs], [f"input {p.name}" for p in ground.inputs]
     channels = [(a[:, names[0].index(n)], b[:, names[0].index(n)]) for n in negated if n in names[0]]
     channels += [(a[:, :, names[1].index(n)], b[:, :, names[1].index(n)]) for n in negated if n in names[1]]

@@ -16,6 +16,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure, FigureBase
 
 from ... import __version__
+from ...files.declaration import arbitrary_gain
 from ...metrics.common_ground import CommonGround
 from ...ports import positions
 from ...rendering.limits import counted_points, not_counted_words
@@ -82,8 +83,12 @@ def console_lines(c: Comparison, folder: Path) -> list[str]:
 
 
 def answer_lines(c: Comparison) -> list[str]:
-    """How far apart, where, the likeliest cause, and S of both."""
+    """Answer: distance, where, the likeliest cause, and S of both."""
     first, second = c.names
+    if any(arbitrary_gain(provenance) for provenance in c.ground.provenance):  # sizes mean nothing
+        alike = f"{c.agreement.overall_frac:.2f}"
+        return [f"{second} and {first} are compared by shape, as a gain is arbitrary: overall FRAC {alike} (1 is the "
+                "same but for a factor).", strength_words(c)]  # fmt: skip
     size = "an unknown share" if not np.isfinite(c.agreement.band) else f"{100 * c.agreement.band:.2g} %"
     cause = [f"Likeliest cause: {c.where.cause}."] if c.where.cause else []
     place = where_words(c.where, c.ground)
@@ -108,7 +113,7 @@ def strength_words(c: Comparison) -> str:
 
 
 def compared_targets(c: Comparison) -> tuple[BoolArray, str]:
-    """Which targets (n_target,) both S are of, and a sentence on those left out."""
+    """True where both S are of a target (n_target,), and a sentence on those left out."""
     assert c.crossed is not None
     x = c.crossed
     known: BoolArray = np.min(np.isfinite(np.vstack([x.a_on_a, x.b_on_b, x.a_on_b, x.b_on_a])), axis=0)
@@ -181,7 +186,7 @@ def _condition(s: dict[str, Any]) -> Block:
 
 
 def _strengths(c: Comparison) -> dict[str, Any]:
-    """What the section on S holds."""
+    """Data of the section on S."""
     if c.crossed is None:
         return {"paragraphs": [f"Signal strength: {c.not_crossed}."]}
     x = c.crossed
@@ -219,7 +224,7 @@ def plot_overlay(ground: CommonGround, output: int, source: int, *, ax: Axes | N
 
 @styled
 def plot_where(c: Comparison, *, ax: Axes | None = None) -> FigureBase:
-    """Where the two differ, seen from above, a panel a band: discs are points, squares actuators."""
+    """Map of the differences, seen from above, a panel a band: discs are points, squares actuators."""
     found, ground = c.where, c.ground
     at, coils = (1e3 * positions(p)[:, :2] for p in (ground.outputs, ground.inputs))
     if not np.isfinite([*at.ravel(), *coils.ravel()]).all():  # places are unknown: points in a row, actuators below

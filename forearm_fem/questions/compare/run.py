@@ -1,4 +1,4 @@
-"""What `forearm-fem compare` and `fit` do, as plain functions; the command line only prints."""
+"""Work of `forearm-fem compare` and `fit`, as plain functions; the command line only prints."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _load(
 
 
 def _said(what: str | Path | TransferMatrix, declaration: Declaration | None) -> list[Any]:
-    """Which G was read and how, as an account has it."""
+    """Names and readings of the G's, as an account has them."""
     file = None if isinstance(what, TransferMatrix) else str(what)
     return [file, None if declaration is None else declaration.model_dump(mode="json", exclude_none=True)]
 
@@ -234,7 +234,7 @@ def _with_model_errors(
 
 
 def _scenario_values(result: FitResult) -> dict[str, float]:
-    """What a scenario takes of the fitted values."""
+    """Scenario keys of the fitted values."""
     return {n: v for n, v in result.values.items() if n not in (SCALE, DELAY)}
 
 
@@ -245,7 +245,7 @@ def _unmeasured(scenario: Scenario, data: TransferMatrix) -> tuple[Port, ...]:
 
 
 def _following(result: FitResult, whole: ScenarioModel, data: TransferMatrix, outputs: tuple[Port, ...]) -> NextBest:
-    """What to measure next of ``outputs`` at the frequencies and inputs of the ``data``: nothing is known of them."""
+    """Best next measurement of ``outputs`` at the frequencies and inputs of the ``data``: nothing is known of them."""
     values = np.zeros((len(data.frequency), len(outputs), len(data.inputs)), dtype=complex)
     wide = replace(data, values=values, outputs=outputs, contacts=None, valid=None, deviation=None, errors=())
     names = [p.name for p in outputs]
@@ -262,7 +262,7 @@ def _noise_of(data: TransferMatrix) -> float:
 
 
 def _biased(data: TransferMatrix) -> tuple[str, ...]:
-    """What intervals do not hold of data by an estimator that noise makes too large in every entry alike."""
+    """Sentence on intervals of data by an estimator that noise makes too large in every entry alike."""
     how = data.provenance.get("measurement")
     kind = how.get("estimator") if isinstance(how, Mapping) else None
     if kind not in ("H2", "Hv"):
@@ -274,7 +274,7 @@ def _biased(data: TransferMatrix) -> tuple[str, ...]:
 
 
 def _reduction_note(reduction: float, result: FitResult) -> tuple[str, ...]:
-    """What the reduced finite elements state for themselves, which is in no interval."""
+    """Reduction error that finite elements state for themselves, which is in no interval."""
     if not np.isfinite(reduction):
         return ()
     return (
@@ -284,7 +284,7 @@ def _reduction_note(reduction: float, result: FitResult) -> tuple[str, ...]:
 
 
 def _series_note(errors: tuple[ErrorEstimate, ...], result: FitResult) -> str:
-    """What the twin's few terms and orders may err by, where data are so quiet that it counts beside the misfit."""
+    """Truncation error of the layered model's few terms and orders, where it counts beside the misfit of quiet data."""
     stated = sum(e.band for e in errors if e.source == "quadrature")
     if not stated > _QUIET * result.e_band:
         return ""

@@ -1,4 +1,4 @@
-"""Which device to build: variables, an objective and constraints, searched on a fast model of the arm."""
+"""Design of a device: variables, an objective and constraints, searched on a fast model of the arm."""
 
 from .candidate import ArmModel, Candidate, TwinArm, evaluate
 from .model import Design, load_design

@@ -38,7 +38,7 @@ class ArmModel(Engine, Protocol):
 
     @property
     def mark(self) -> str:
-        """What tells its answers from another model's."""
+        """Mark that tells its answers from another model's."""
 
 
 class TwinArm:
@@ -89,7 +89,7 @@ _NEARNESS = 1e-3  # m
 
 @dataclass(frozen=True)
 class Candidate:
-    """What became of ``values``.
+    """Result of the design variables ``values``.
 
     ``score`` is the objective [-], NaN where the device cannot be; ``strengths`` S by target, mean over the arms;
     ``voltage`` [V] and ``power`` [W] are the largest of any actuator with the target's motion at ``target_peak``,
@@ -112,13 +112,13 @@ class Candidate:
 
     @property
     def feasible(self) -> bool:
-        """Whether the device can be and every constraint holds."""
+        """True if the device can be and every constraint holds."""
         return not self.problem and not self.violations and math.isfinite(self.score)
 
     @property
     def cost(self) -> float:
-        """What a search makes small: minus the objective; 100 more, and growing, for constraints that do not hold;
-        1000 where the device cannot be."""
+        """Cost that a search minimises: minus the objective; 100 more, and growing, for constraints that do not
+        hold; 1000 for a device that cannot be."""
         if self.problem or not math.isfinite(self.score):
             return 1000.0
         return -self.score + (100.0 + 100.0 * sum(self.violations.values()) if self.violations else 0.0)

@@ -122,7 +122,7 @@ class Positions(Part):
 
 
 class Objective(Part):
-    """What is to be large: S over the ``targets``, then over the scenarios."""
+    """Objective, to be large: S over the ``targets``, then over the scenarios."""
 
     of: Literal["mean", "least", "share"] = Field("mean", description="over targets; share: of those with S above 1")
     over: Literal["mean", "least"] = Field("mean", description="over the scenarios, if there are several")
@@ -131,7 +131,7 @@ class Objective(Part):
 
 
 class Constraints(Part):
-    """What must hold; a drive is meant at the amplitude that moves its target by ``target_peak``."""
+    """Constraints; a drive is meant at the amplitude that moves its target by ``target_peak``."""
 
     clearance: Annotated[float, Within(1e-6, 0.1, "m", zero=True)] = Field(
         CLEARANCE, description="least distance of an aimed-at point from any rim [m]: beside a motor S is no focus"
@@ -158,7 +158,8 @@ class Constraints(Part):
 
 
 class Search(Part):
-    """How long and from where: differential evolution over all variables, then Nelder-Mead over continuous ones."""
+    """Length and start of the search: differential evolution over all variables, then Nelder-Mead over continuous
+    ones."""
 
     candidates: Annotated[int, Within(1, 1_000_000)] = Field(300, description="of the global search")
     local: Annotated[int, Within(0, 100_000)] = Field(60, description="of the local search from the best")

@@ -127,7 +127,7 @@ def _score_label(result: DesignResult) -> str:
     ]
 
 
-# What a design leaves in its folder: tables, pictures and a page.
+# Folder of a design: tables, pictures and a page.
 
 _TITLES: Mapping[str, str] = MappingProxyType({  # of the page's columns; tables in CSV keep the bare names
     "voltage": "voltage [V]", "power": "power [W]", "total_power": "total power [W]", "mass": "mass [kg]",

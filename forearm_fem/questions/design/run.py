@@ -117,8 +117,8 @@ def run_design(
 def _evaluating(
     design: Design, arm: ArmModel, scheduler: str | None, workers: int | None, *, own: bool
 ) -> Iterator[Spread | None]:
-    """How candidates are spread over Dask, None for this process: on the ``arm``, sent to each process once, or with
-    ``own`` on the twin that each process makes of tables in its cache."""
+    """Spread of candidates over Dask, None for this process: on the ``arm``, sent to each process once, or with
+    ``own`` on the layered model that each process makes of tables in its cache."""
     if scheduler is None and (workers or 1) == 1:
         yield None
         return
@@ -204,7 +204,7 @@ def question(design: Design, mark: str = "") -> str:
 
 
 def _contents(design: Design) -> list[list[str]]:
-    """What stands in the files that the scenarios, and choices of the search, name."""
+    """Contents of the files that the scenarios, and choices of the search, name."""
     chosen = [str(c) for v in design.asked.variables if v.key.endswith(".file") for c in v.values or ()]
     arms = zip(design.scenarios({}), design.bases, strict=True)
     return [contents((*named_files(scenario), *chosen), base) for scenario, base in arms]

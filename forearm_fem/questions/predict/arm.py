@@ -43,8 +43,12 @@ _GEOMETRY = ("thickness", "placement", "contact area")
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a model says of a draw: its ``compliance``, and ``others`` that it may be as well by the errors ``shown``
-    (their sources), whose shape over pairs of ports is known; all other errors are taken for noise."""
+    """Answer of a model for a draw.
+
+    ``compliance``: its value.
+    ``others``: as likely by the errors ``shown`` (their sources), whose shape over pairs of ports is known; all
+    other errors count as noise.
+    """
 
     compliance: Compliance
     others: tuple[Compliance, ...] = ()
@@ -61,12 +65,12 @@ class ArmModel(Engine, Protocol):
 
     @property
     def left_out(self) -> str:
-        """What of an arm the model has not, in a sentence."""
+        """Sentence on properties of an arm that the model has not."""
         ...
 
     @property
     def unknown(self) -> str:
-        """What of an answer's error could not be estimated and is in no band, in a sentence; empty where nothing."""
+        """Sentence on errors of an answer that could not be estimated and are in no band; empty without any."""
         ...
 
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
@@ -267,7 +271,7 @@ class ReducedArm:
         return changed, _MISSED * change, error
 
     def _change(self, scenario: Scenario, own: Scenario, frequency: FloatArray) -> tuple[ComplexArray, FloatArray]:
-        """What the draw's geometry changes on the twin, and the twin's errors in it, both (n, n_port, n_port) [m/N].
+        """Change of the layered model by the draw's geometry, and its errors, both (n, n_port, n_port) [m/N].
 
         The twin states errors over the largest entry of their kind: of contacts, or of points under contacts. Where
         discs are far apart, one azimuthal order says what changes to some hundredths of it, which are stated.

@@ -25,7 +25,7 @@ from ...tissue import law, resolve_tissues
 from ...typing import FloatArray
 from ...usercode import is_code
 
-# What is uncertain about an arm, a device on it and a measurement: named inputs with their laws and sources.
+# Uncertain inputs of an arm, a device and a measurement, with their laws and sources.
 
 Kind = Literal["log-normal", "normal", "uniform", "log-uniform", "logistic", "choice"]
 Known = Literal["seen", "derived", "judgement", "second-hand"]
@@ -369,7 +369,7 @@ def moved_points(scenario: Scenario, values: Mapping[str, float]) -> list[tuple[
 
 
 def soft_tissues(scenario: Scenario) -> tuple[str, ...]:
-    """Which of skin, fat and muscle the limb has, and so what a draw of tissues changes."""
+    """Soft tissues of the limb, of skin, fat and muscle: those that a draw changes."""
     limb = scenario.limb
     named = {layer.tissue for layer in getattr(limb, "layers", ())} | {getattr(limb, "core", "")}
     named |= set(getattr(limb, "surfaces", {})) | set(getattr(limb, "regions", {}).values())

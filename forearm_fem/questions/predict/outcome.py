@@ -30,7 +30,8 @@ _DRAWS = 6  # of an arm's errors, for the interval of its S; all targets of a me
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What all draws of a prediction share: the scene, its renderers, the ports that these aim by, inputs held."""
+    """Parts that all draws of a prediction share: the scene, its renderers, the ports that these aim by, inputs
+    held."""
 
     scenario: Scenario
     job: RenderJob
@@ -92,8 +93,11 @@ def strengths_of(job: RenderJob, true: TransferMatrix, measured: TransferMatrix)
 
 
 def drivers_of(draw: Draw, scenario: Scenario, held: Collection[str]) -> dict[str, float]:
-    """What S may hang on: inputs, and of each drawn tissue its size |mu*| [Pa] and loss tangent at 150 Hz; nothing of a
-    tissue or layer that the limb has not, or of a part that the drive leaves out, for chance would make it a driver."""
+    """Candidate drivers of S: inputs, and of each drawn tissue its size |mu*| [Pa] and loss tangent at 150 Hz.
+
+    Nothing of a tissue or layer that the limb has not, or of a part that the drive leaves out: chance would make
+    it a driver.
+    """
     tissue_input = {f"{t}." for t in SOFT}
     own, layers = soft_tissues(scenario), {layer.tissue for layer in getattr(scenario.limb, "layers", ())}
     absent = {f"{t} thickness" for t in SOFT if t not in layers} | idle_inputs(scenario)

@@ -16,7 +16,7 @@ from ...scenario import Scenario
 from ...scenario.actuators import ACTUATORS
 from ...typing import ComplexArray, FloatArray
 
-# What was published of forearms, to judge predictions by; values that were not seen are named, not invented.
+# Published measurements of forearms, to judge predictions by; values that were not seen are named, not invented.
 # ``kind``: "value" is judged by whether it lies in the 5-95 % band of arms, "trend" by whether at least 5 % of the arms
 # show it, "not comparable" says why neither is done. ``fitted`` marks what the joint fit of the tissue laws used: no
 # test of the model, only of the fit.
@@ -93,7 +93,7 @@ SHAH_ARMS = (
 FAT_SHARE = {"m": 0.150, "f": 0.293}
 
 
-# What published measurements would have found on a drawn arm: speeds, decay, stiffness, loss over distance.
+# Published measurements repeated on a drawn arm: speeds, decay, stiffness, loss over distance.
 
 TOLERANCE = 1e-7  # of the largest displacement at each frequency; 8 cm from a motor there are 1e-4 of it left
 _CONE = Disc(0.0, 0.0, 3.5e-3)
@@ -115,7 +115,7 @@ class Arm:
 
     @classmethod
     def of(cls, scenario: Scenario) -> Arm:
-        """Those of ``scenario``."""
+        """Arm of ``scenario``."""
         return cls(tuple(flat_layers(scenario)), flat_surface(scenario.tissues))
 
     def respond(self, frequency: FloatArray, source: Disc, line: Sequence[float] | FloatArray) -> ComplexArray:

@@ -45,7 +45,7 @@ POOL = 200  # draws that a model of finite elements is made from: the first ones
 
 @dataclass(frozen=True)
 class Question:
-    """What is drawn: plain data, so that it travels to any process that sees ``base``.
+    """Question of a prediction: plain data, so that it travels to any process that sees ``base``.
 
     ``laws`` are those drawn from, ``held`` names or groups of inputs (priors.toml) that keep the scenario's values.
     With ``twin`` arms are drawn on the layered twin, whatever solves the scene.
@@ -217,8 +217,8 @@ def _nominal(question: Question, progress: Progress | None) -> tuple[Strength, t
 
 
 def _unknown(arm: ArmModel, errors: tuple[ErrorEstimate, ...]) -> str:
-    """What of the arms' errors is in no band: what ``arm`` says, and what cutting the limb does to each, which is
-    estimated of the scene alone (its ``errors``), whose waves decay otherwise."""
+    """Sentence on the errors of the arms that are in no band: those that ``arm`` says, and of cutting the limb,
+    which is estimated of the scene alone (its ``errors``), whose waves decay otherwise."""
     ends = next((e for e in errors if e.source == "truncation"), None)
     if ends is None or isinstance(arm, LayeredArm):
         return arm.unknown
@@ -247,7 +247,7 @@ def work(job: Job) -> dict[str, Any]:
 
 
 def _outcome(number: int, parts: Mapping[str, Any], setup: Setup) -> Outcome:
-    """What :meth:`.Outcome.as_parts` gave, or why there is nothing."""
+    """Outcome from the parts of :meth:`.Outcome.as_parts`, or the reason that there is none."""
     if "strengths" not in parts:
         return Outcome.none(number, "", setup.methods, setup.targets, str(parts[LOST]))
     return Outcome(**{**parts, "number": number, "drivers": MappingProxyType(parts["drivers"])})
@@ -263,7 +263,7 @@ def _prepared(
     text: str, base: str, seed: int, laws: tuple[str, ...], held: tuple[str, ...], twin: bool,
     progress: Progress | None = None,
 ) -> tuple[Question, Setup, ArmModel]:  # fmt: skip
-    """What all draws of a process share. G of the scene serves for its ports alone, so one bin will do.
+    """Parts that all draws of a process share. G of the scene serves for its ports alone, so one bin will do.
 
     A model of finite elements is made once and kept in the cache, where other processes find it.
     """

@@ -1,4 +1,4 @@
-"""What draws say: quantiles of S, which method wins, and what drives it."""
+"""Statistics of draws: quantiles of S, the best method, and what drives S."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def quantiles(values: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Enclosed:
-    """What arms have (n, ...): ``value``, and the ends ``low`` and ``high`` that each arm's own numerics leave it."""
+    """Values of arms (n, ...): ``value``, and the ends ``low`` and ``high`` that each arm's own numerics leave it."""
 
     value: FloatArray
     low: FloatArray
@@ -123,8 +123,9 @@ class Enclosed:
         return np.stack([(x > limit).mean(axis=0) for x in (self.low, self.value, self.high)])
 
     def judged(self, point: FloatArray) -> tuple[BoolArray, BoolArray]:
-        """Whether ``point`` (...) lies in the band of 5-95 % of the arms as they are, which poor numerics cannot widen,
-        and whether that is sure: it would be said of the bands of most other draws of as many arms, and whichever way
+        """True where ``point`` (...) lies in the arms' band of 5-95 %, and true where that is sure.
+
+        Poor numerics do not widen the band. Sure: most other draws of as many arms would say the same, whichever way
         their numerics err.
 
         An end of the band is known as the binomial law knows a share of n arms, within 1.96 deviations.
@@ -227,9 +228,12 @@ def log_score(values: FloatArray, point: FloatArray) -> float:
 
 
 def joint_distance(values: FloatArray, point: FloatArray) -> tuple[float, float]:
-    """How far ``point`` (m,) lies from draws ``values`` (n, m): Mahalanobis' distance of logarithms, over its median
-    among the draws, and the share of draws that lie further out. NaN for fewer than 5 m draws: they do not tell how
-    entries go together, and a point off their span would count as near."""
+    """Distance of ``point`` (m,) from draws ``values`` (n, m): Mahalanobis' of logarithms, over its median among the
+    draws, and the share of draws further out.
+
+    NaN for fewer than 5 m draws: they do not tell how entries go together, and a point off their span would count
+    as near.
+    """
     if len(values) < _DRAWS_AN_ENTRY * values.shape[1]:
         return float("nan"), float("nan")
     logs, at = np.log(values), np.log(point)

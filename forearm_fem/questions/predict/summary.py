@@ -85,7 +85,7 @@ def _spread(arms: Enclosed) -> dict[str, FloatArray]:
 
 
 def _drivers(draws: Draws, means: FloatArray, sobol: bool) -> list[dict[str, Any]]:
-    """What each input drives of the groups' ``means`` (n, n_method, n_group) of S."""
+    """Influence of each input on the groups' ``means`` (n, n_method, n_group) of S."""
     found = {"rank": rank_correlations(draws.drivers, means)}
     if sobol:
         found["sobol"] = sobol_indices(draws.drivers, draws.names, means)

@@ -189,7 +189,7 @@ def _band(target: Target, rows: Sequence[dict[str, Any]]) -> dict[str, Any] | No
 
 
 def _sure_share(share: float, count: int) -> bool:
-    """Whether most other draws of ``count`` arms would say the same of a trend: Wilson's interval of 95 %."""
+    """True if most other draws of ``count`` arms would say the same of a trend: Wilson's interval of 95 %."""
     z = 1.96**2 / count
     middle, half = (share + z / 2) / (1 + z), np.sqrt(z * (share * (1 - share) + z / 4)) / (1 + z)
     return not middle - half < _SEEN <= middle + half

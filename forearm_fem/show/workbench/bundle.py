@@ -99,7 +99,7 @@ def _content(
 
 
 def _holds_g_alone(folder: Path) -> bool:
-    """Whether a ``folder`` holds a G and no run, as one of ``forearm-fem calibrate`` does."""
+    """True if a ``folder`` holds a G and no run, as one of ``forearm-fem calibrate`` does."""
     there = [(folder / file).is_file() for file in ("transfer.nc", "scenario.json", "run.json")]
     return folder.is_dir() and there == [True, False, False]
 
@@ -155,7 +155,7 @@ class View:
     height: int = 900
 
     def _repr_html_(self) -> str:
-        """What notebooks ask for; the frame runs the page's script and reaches nothing else."""
+        """HTML for notebooks; the frame runs the page's script and reaches nothing else."""
         return (
             f'<iframe srcdoc="{escape(self.page, quote=True)}" sandbox="allow-scripts allow-downloads" '
             f'style="width:100%;height:{self.height}px;border:0" title="forearm_fem workbench"></iframe>'

@@ -1,4 +1,4 @@
-"""What goes into the page: the model between the ports, the device, the field, and what is known about their errors."""
+"""Content of the page: the model between the ports, the device, the field, and their error estimates."""
 
 from __future__ import annotations
 
@@ -44,8 +44,9 @@ from ...transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_
 from ...typing import FloatArray
 from ..data import PREDICTION, Results
 from ..style import METHODS, TISSUES
+from .anywhere import Anywhere, anywhere_of, packed_anywhere
 from .field import Field, solved_field
-from .flat import between_points, twin_field
+from .flat import between_points, flat_field
 from .packed import amplitudes_in_half_precision, in_half_precision, packed
 from .places import LibraryOfArm, Places, patch_field, places_of
 
@@ -68,9 +69,11 @@ def content_of(results: Results) -> dict[str, Any]:
     holes = bridged(transfer)
     placed = place(holes.transfer, record)
     frequency = compliance.frequency
-    field = _field(results, placed.bins.frequency)
+    moved = anywhere_of(scenario, transfer) if scenario.engine == "layered" else None
+    field = flat_field(compliance.ports) if moved else _field(results, placed.bins.frequency)
     account = results.account
     return {
+        **_anywhere(moved, results, placed.bins.frequency),
         **_common(scenario, holes, placed, field, record, _shape(results, scenario)),
         "name": scenario.name,
         "stamp": results.stamp,
@@ -81,6 +84,18 @@ def content_of(results: Results) -> dict[str, Any]:
         "draws": _draws(results, placed),
         "notes": [*account.notes, *account.warnings],
     }
+
+
+def _anywhere(
+    moved: tuple[Anywhere, ErrorEstimate] | None, results: Results, bins: FloatArray
+) -> dict[str, Any]:
+    """Tables for moved actuators, and the errors that G then has: the run's, pairs not told apart, and the tables'."""
+    if moved is None:
+        return {"anywhere": None}
+    found, missed = moved
+    errors = (*(replace(e, per_pair=None) for e in results.transfer.errors), missed)
+    table = packed_anywhere(found, missed, results.compliance.ports)
+    return {"anywhere": {**table, "errors": [_estimate(e, bins) for e in errors]}}
 
 
 def library_content(
@@ -226,11 +241,9 @@ def _draws(results: Results, placed: Placed) -> list[dict[str, Any]]:
 
 def _field(results: Results, bins: FloatArray) -> Field:
     """The field on the record's ``bins`` [Hz]."""
-    scenario, ports = results.scenario, results.compliance.ports
+    scenario = results.scenario
     if results.has_field:
         return _on_bins(solved_field(results), results.wavefield.frequency, scenario, bins)
-    if scenario.engine == "layered" and any(p.kind == "contact" for p in ports):
-        return twin_field(scenario, ports, bins)
     return between_points(results.transfer.outputs)
 
 

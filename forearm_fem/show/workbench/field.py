@@ -21,7 +21,8 @@ _LEAST_FORCE = 1e-9  # of the largest: a drive that gives no force says nothing 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What is drawn: ``rest`` (n, 3) [mm], ``normals`` (n, 3), triangles ``faces`` (m, 3), ``shapes`` (n, 3 or 1, k).
+    """Surface drawn: ``rest`` (n, 3) [mm], ``normals`` (n, 3), triangles ``faces`` (m, 3), ``shapes`` (n, 3 or 1,
+    k).
 
     One component stands for the one along the normal. ``tissue`` (m,) numbers ``tissues`` in a section.
     """

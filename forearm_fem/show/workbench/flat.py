@@ -1,9 +1,9 @@
-"""A flat piece of skin for what has no mesh: the layered twin's own field, or what lies between measured points."""
+"""A flat piece of skin for what has no mesh: the layered model's own field, or what lies between measured points."""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicSpline, RBFInterpolator
+from scipy.interpolate import RBFInterpolator
 from scipy.spatial import Delaunay, QhullError
 
 from ...engines.layered import flat_disc, flat_layers, flat_surface
@@ -11,33 +11,21 @@ from ...layered import Disc, layered_compliance
 from ...ports import Port, positions
 from ...scenario import Scenario
 from ...typing import ComplexArray, FloatArray, IntArray
-from .field import Field, Surface, few_shapes
+from .anywhere import MARGIN
+from .field import Field, Surface
 
 _MM = 1e3
 _SIDE = 61  # vertices along the longer side
-_MARGIN = 0.016  # [m] of skin around the twin's ports
 _AT_ONCE = 12  # radii: motion from each to each is computed too, unasked
-_APART = 2.0**-9  # [m] between radii: 2 mm
 _TOLERANCE = 1e-3  # of the picture's field; G itself is as the run computed it
 
 
-def twin_field(scenario: Scenario, ports: tuple[Port, ...], frequency: FloatArray) -> Field:
-    """The layered twin's normal motion around its ports per newton on each contact, at ``frequency`` (n,) [Hz].
-
-    Layers without end look alike from everywhere: one contact's motion at growing distance serves them all. Waves that
-    rigid cones scatter are left out here, not in G.
-    """
-    contacts = [p for p in ports if p.kind == "contact"]
-    surface = _rectangle(positions(ports)[:, :2], _MARGIN)
-    far = np.linalg.norm(surface.rest[:, None, :2] / _MM - positions(tuple(contacts))[None, :, :2], axis=2)
-    radii = np.asarray(_APART * np.arange(int(far.max() / _APART) + 2), dtype=float)
-    motion_at = profile(scenario, contacts[0], frequency, radii)
-    motion = np.asarray(CubicSpline(radii, motion_at, axis=1)(far))
-    shapes, amplitudes, error = few_shapes(motion)
-    words = (
-        "flat skin of the layered twin, which has no limb; waves scattered by rigid cones are in G, not in the picture"
-    )
-    return Field((_with(surface, shapes[:, None, :]),), amplitudes, error, words)
+def flat_field(ports: tuple[Port, ...]) -> Field:
+    """Flat skin around the ports of a layered run; the page knows its motion from one disc's, at growing distance."""
+    surface = _rectangle(positions(ports)[:, :2], MARGIN)
+    shapes = np.zeros((len(surface.rest), 1, 1))
+    words = "flat skin of the layered model; waves that rigid cones scatter are in G, not in the picture"
+    return Field((_with(surface, shapes),), None, 0.0, words)
 
 
 def profile(scenario: Scenario, contact: Port, frequency: FloatArray, radii: FloatArray) -> ComplexArray:

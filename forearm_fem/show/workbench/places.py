@@ -1,4 +1,4 @@
-"""What an arm's library says of discs anywhere on its patch, few enough numbers for a page to work with."""
+"""Compliance of discs anywhere on a library's patch, in few enough numbers for a page to work with."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class FlatLengths(Protocol):
 
 
 class LibraryOfArm(SolvingEngine, Protocol):
-    """What an :class:`forearm_fem.engines.library.ArmLibrary` offers."""
+    """Interface of an :class:`forearm_fem.engines.library.ArmLibrary`."""
 
     @property
     def scenario(self) -> Scenario:

@@ -18,7 +18,7 @@ _PRODUCTS = "scipy_cgemm3m_", "cgemm3m_"
 
 
 def product_address() -> int:
-    """Where SciPy's OpenBLAS multiplies matrices, by three real products for a complex one if it offers that.
+    """Address of the matrix product of SciPy's OpenBLAS, of three real products for a complex one if it offers that.
 
     A tenth of a factorisation's time, for residuals up to a fifth larger (decision 0009).
     """

@@ -14,7 +14,7 @@ from ...kernels.jit import kernel
 from .blas import BLOCK, SECOND, Arguments, invert_block, set_product, subtract_product
 from .symbolic import Entries, Fronts, Symbolic
 
-# How fronts are shared among threads, and where each keeps what is left of them.
+# Sharing of fronts among threads, and their scratch memory.
 # Whole subtrees of the elimination tree go to single threads; the few large fronts above them come last, each with all
 # threads of BLAS.
 
@@ -164,8 +164,12 @@ class FrontStore(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What one thread needs: the ``place`` (n,) of unknowns in its front, D L^T of a panel's current ``outer`` columns
-    and of all columns ``under`` the panel."""
+    """Scratch arrays of one thread.
+
+    ``place`` (n,): of unknowns in its front.
+    ``outer``: D L^T of a panel's current columns.
+    ``under``: D L^T of all columns under the panel.
+    """
 
     call: Arguments
     place: NDArray[np.int32]

@@ -159,7 +159,7 @@ def _common(node: int, ancestor: IntArray) -> int:
     return root
 
 
-# Which unknowns are eliminated together, and what they couple to: all that the pattern tells before any value.
+# Symbolic factorisation: unknowns eliminated together, and their couplings, from the pattern alone.
 
 # A supernode takes its parent in while it has at most so many columns, and fewer zeros than this share of its entries.
 _COLUMNS = (16, 64, 192)
@@ -232,7 +232,7 @@ def symbolic_factor(upper: csr_array, order: IntArray) -> Symbolic:
 
 
 def _fundamental(parent: IntArray, count: IntArray) -> tuple[IntArray, IntArray]:
-    """Where chains of columns with the same pattern start (n_chain + 1,), and each chain's parent (n_chain,)."""
+    """Starts of chains of columns with the same pattern (n_chain + 1,), and each chain's parent (n_chain,)."""
     n = len(parent)
     starts = (parent[:-1] != np.arange(1, n)) | (count[:-1] != count[1:] + 1)
     first = np.concatenate([[0], np.flatnonzero(starts) + 1, [n]])
@@ -255,7 +255,7 @@ def _worth_merging(columns: int, new: float, zeros: float, size: float, limits: 
 def _merged(
     columns: IntArray, size: IntArray, above: IntArray, limits: IntArray, shares: FloatArray
 ) -> tuple[BoolArray, IntArray]:
-    """Which chains (n_chain,) start a supernode, and the size (n_chain,) of its front.
+    """True where a chain starts a supernode (n_chain,), and the size of its front (n_chain,).
 
     Chains of so many ``columns``, with a front of ``size``, take in the parent ``above`` them, where that stands next
     to them and few zeros are added (as CHOLMOD's relaxed supernodes).

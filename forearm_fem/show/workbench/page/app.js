@@ -7,7 +7,8 @@
  * @typedef {{name: string, frequency: Float64Array, values: import("./arrays.js").Complex, told: boolean}} Overlay a measured G
  */
 import { Arms } from "./arms.js";
-import { METHODS } from "./experiment.js";
+import { Anywhere } from "./anywhere.js";
+import { Experiment, METHODS } from "./experiment.js";
 import { halves, noiseOf, whyNone } from "./interval.js";
 import { timeOf } from "./wavelet.js";
 
@@ -38,6 +39,31 @@ export class App {
     this.version = 0;
     /** Where the actuators stood when the picture was worked out. @type {number[][] | null} */
     this.stood = null;
+    /** A device kept to be compared with the present one, and whether both are seen. @type {Experiment | null} */
+    this.kept = null;
+    this.beside = false;
+    /** Whether colours are rms over the passage, not the motion at an instant. */
+    this.map = false;
+    field.anywhere = experiment.places instanceof Anywhere ? experiment.places : null;
+  }
+
+  /** Keep the present device beside what is changed from now on; null forgets it. @param {boolean} keep */
+  keep(keep) {
+    this.kept = null;
+    this.beside = keep;
+    if (keep) {
+      this.kept = new Experiment(this.experiment.content);
+      this.kept.reach = this.experiment.reach;
+      this.kept.set(this.experiment.settings);
+    }
+    this.refresh();
+  }
+
+  /** What each panel of the picture shows. @returns {import("./arms.js").Slot[]} */
+  get slots() {
+    const { experiment, kept, focus } = this;
+    if (kept && this.beside) return [{ key: `kept ${focus}`, method: focus, experiment: kept, title: "kept device: " }, { key: focus, method: focus, experiment, title: "device now: " }];
+    return METHODS.map((method) => ({ key: method, method, experiment, title: "" }));
   }
 
   /** Change settings and work everything out again; a change that cannot be is said, and undone. @param {Partial<Settings>} change */
@@ -60,18 +86,24 @@ export class App {
     this.version++;
     this.follow();
     this.span = this.shownSpan();
-    const outcomes = METHODS.map((m) => experiment.outcome(m));
+    if (this.kept) {
+      const { target, place, zeros, rule, amplitude, window, wavelet } = experiment.settings;
+      this.kept.set({ target, place, zeros, rule, amplitude, window, wavelet });
+    }
+    arms.slots = this.slots;
     const { common } = this;
     arms.shown.clear();
-    for (const o of outcomes) {
-      if (!o.sent || !o.spectra || experiment.settings.arm) continue; // of a drawn arm only the points are known
-      const force = experiment.changeable ? experiment.forces() : null;
-      const track = field.track(force, o.sent, o.spectra, index, record.n / record.rate, this.span);
-      arms.show(experiment, o.method, track, this.factor, common);
+    for (const slot of arms.slots) {
+      const { experiment: own } = slot, o = own.outcome(slot.method);
+      if (!o.sent || !o.spectra || own.settings.arm) continue; // of a drawn arm only the points are known
+      const force = own.changeable ? own.forces() : null;
+      const track = field.track(force, o.sent, o.spectra, index, record.n / record.rate, this.span, own.settings.contacts);
+      arms.show(slot, track, this.factor, common, this.map);
     }
     const { device } = experiment.settings;
     arms.live = experiment.settings.arm > 0;
     arms.lifted = device.touching.map((t, k) => !t || device.gain[k] === 0);
+    arms.keptInputs = this.kept ? this.kept.inputs : [];
     if (!(arms.time >= this.span[0] && arms.time <= this.span[1])) arms.time = this.span[0];
     for (const tell of this.listeners) tell();
     arms.draw(experiment);
@@ -83,14 +115,14 @@ export class App {
     const { experiment, field, arms } = this, { places, settings } = experiment;
     if (!places || !settings.contacts || this.stood === settings.contacts) return;
     this.stood = settings.contacts;
-    field.amplitudes = places.picture(settings.contacts);
+    if (!(places instanceof Anywhere)) field.amplitudes = places.picture(settings.contacts);
     arms.stand(experiment.inputs);
   }
 
   /** Intervals of S for changed settings, little by little; given up as soon as something else is changed. */
   drawIntervals() {
     const { experiment, version } = this, key = experiment.question;
-    if (experiment.asRun || experiment.settings.arm || experiment.drawn?.key === key || whyNone(experiment.content)) return;
+    if (experiment.asRun || experiment.settings.arm || experiment.drawn?.key === key || whyNone(experiment.content, experiment.errors)) return;
     const work = halves(experiment, METHODS, noiseOf(1));
     const slice = () => {
       if (version !== this.version) return;
@@ -106,7 +138,16 @@ export class App {
 
   /** Where all arms' colours end [m]; null where each has its own. */
   get common() {
-    return this.same ? Math.max(...METHODS.map((m) => this.arms.largest(this.experiment, m))) : null;
+    return this.same || (this.kept && this.beside) ? Math.max(...this.slots.map((s) => this.arms.largest(s.experiment, s.method))) : null; // two devices are compared on one scale
+  }
+
+  /** The instant at which the target moves most [s]. */
+  get moment() {
+    const { experiment } = this, { record } = experiment, u = this.outcome.moves[experiment.settings.target];
+    if (!u) return 0;
+    let best = 0;
+    u.forEach((v, j) => { if (Math.abs(v) > Math.abs(u[best])) best = j; });
+    return Math.min(Math.max(timeOf(record, best), this.span[0]), this.span[1]);
   }
 
   /** Samples [from, to) of the record that are shown. @returns {[number, number]} */
@@ -117,8 +158,10 @@ export class App {
 
   /** Scales alone, without new drives. */
   rescale() {
-    const { experiment, arms, common } = this;
-    for (const [method, shown] of arms.shown) arms.show(experiment, method, shown.track, this.factor, common);
+    const { experiment, arms } = this;
+    if (this.kept && this.beside && !arms.shown.has(this.focus)) return this.refresh(); // another method has other tracks
+    const { common } = this;
+    for (const slot of arms.slots) { const shown = arms.shown.get(slot.key); if (shown) arms.show(slot, shown.track, this.factor, common, this.map); }
     for (const tell of this.listeners) tell();
     arms.draw(experiment);
   }

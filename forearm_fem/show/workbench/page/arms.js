@@ -7,17 +7,19 @@
  * @typedef {import("./field.js").Track} Track
  * @typedef {import("./view.js").View} View
  * @typedef {import("./view.js").Box} Box
- * @typedef {{track: Track, limit: number, gain: number}} Shown  colours end at `limit` [m], motion drawn `gain` [mm per m]
+ * @typedef {{track: Track, limit: number, gain: number, rms: Float32Array | null}} Shown  colours end at `limit` [m], motion drawn
+ *   `gain` [mm per m]; with `rms` [m] colours are that, and nothing moves
+ * @typedef {{key: string, method: Method, experiment: Experiment, title: string}} Slot  what a panel shows
  */
 import { say } from "./dom.js";
-import { amplitudesAt, displace } from "./field.js";
+import { amplitudesAt, displace, rmsOf } from "./field.js";
 import { actuatorBody, deform, outlines } from "./bodies.js";
 import { Raster, tableOf } from "./raster.js";
 import { all, openEdges, seen } from "./seen.js";
 import { eyeOf, matrixOf, project } from "./view.js";
 import { METHODS } from "./experiment.js";
 
-const BULGE = 3.5, HIGHEST = 7, GLANCES = 24, NEAR = 15, FREE = 14;
+const BULGE = 5, GLANCES = 24, NEAR = 15, FREE = 14;
 const STOPS = {
   light: [0.10, 0.27, 0.58, 0.45, 0.66, 0.87, 0.93, 0.915, 0.885, 0.95, 0.65, 0.42, 0.70, 0.22, 0.10],
   dark: [0.45, 0.72, 0.98, 0.22, 0.42, 0.66, 0.25, 0.255, 0.27, 0.68, 0.36, 0.20, 0.99, 0.62, 0.34],
@@ -32,6 +34,10 @@ export class Arms {
     const ports = [...content.inputs, ...content.outputs], places = ports.map((/** @type {any} */ p) => p.position.map((/** @type {number} */ v) => 1e3 * v));
     const low = [0, 1, 2].map((c) => Math.min(...places.map((p) => p[c]))), high = [0, 1, 2].map((c) => Math.max(...places.map((p) => p[c])));
     this.inputs = content.inputs;
+    /** @type {Slot[]} */
+    this.slots = METHODS.map((method) => ({ key: method, method, experiment: /** @type {any} */ (null), title: "" }));
+    /** Of a device kept beside. @type {import("./device.js").Port[]} */
+    this.keptInputs = [];
     this.home = { turn: -1.92, tilt: 1.0, far: 2.95 * Math.max(high[0] - low[0], high[1] - low[1], 30), centre: low.map((v, c) => (v + high[c]) / 2 + (c === 2 ? 7 : 0)) };
     /** @type {View} */
     this.view = { ...this.home };
@@ -44,7 +50,7 @@ export class Arms {
     this.live = false;
     /** @type {"" | "along" | "across"} */
     this.section = "";
-    /** @type {Map<Method, Shown>} */
+    /** @type {Map<string, Shown>} */
     this.shown = new Map();
     this.time = 0;
     this.frames = 0;
@@ -67,6 +73,8 @@ export class Arms {
     this.reaches = new WeakMap();
     /** @type {WeakMap<object, number>} */
     this.most = new WeakMap();
+    /** @type {WeakMap<Track, Float32Array>} */
+    this.squares = new WeakMap();
   }
 
   /** Actuators somewhere else. @param {import("./device.js").Port[]} inputs */
@@ -81,12 +89,13 @@ export class Arms {
     return this.parts.panels.map((p) => { const b = p.getBoundingClientRect(); return { x: b.left - outer.left, y: b.top - outer.top, w: b.width, h: b.height }; });
   }
 
-  /** What moves and at which scales. @param {Experiment} experiment @param {Method} method @param {Track} track @param {number} factor
-   * @param {number | null} limit a common one */
-  show(experiment, method, track, factor, limit) {
-    const most = limit ?? this.largest(experiment, method);
-    const reach = this.highest(track), gain = Math.min(BULGE / most, HIGHEST / Math.max(reach, 1e-30));
-    this.shown.set(method, { track, limit: most, gain: most > 0 ? nice(factor * gain) : 0 });
+  /** What moves and at which scales: as pictures and films are drawn. @param {Slot} slot @param {Track} track @param {number} factor
+   * @param {number | null} limit a common one @param {boolean} map whether rms is shown */
+  show({ key, method, experiment }, track, factor, limit, map) {
+    const most = limit ?? this.largest(experiment, method), reach = this.highest(track);
+    const rms = map ? this.squares.get(track) ?? rmsOf(this.field.skin, track) : null;
+    if (rms) this.squares.set(track, rms);
+    this.shown.set(key, { track, limit: rms ? nice(most / 2) : most, gain: most > 0 && !rms ? nice((factor * BULGE) / Math.max(reach, 1e-30)) : 0, rms });
   }
 
   /** Largest displacement of the skin [m], at some instants. @param {Track} track */
@@ -96,8 +105,8 @@ export class Arms {
     const { states, whole } = this.work[0];
     let most = 0;
     for (let k = 0; k < GLANCES; k += 3) {
-      const rows = this.amplitudes.map((row, i) => amplitudesAt(track, track.first + ((k + i + 0.5) / GLANCES) * (track.count / track.rate), row));
-      displace(this.field.skin, rows, states, whole.vertices);
+      const rows = states.map((_, i) => amplitudesAt(track, track.first + ((k + i + 0.5) / GLANCES) * (track.count / track.rate), new Float64Array(track.k)));
+      displace(this.field.skin, rows, states, whole.vertices, states.map(() => track.net));
       for (const { u } of states) for (let v = 0; v < u.length; v++) most = Math.max(most, Math.abs(u[v]));
     }
     this.reaches.set(track, most);
@@ -121,9 +130,9 @@ export class Arms {
     g.setTransform(this.sharp, 0, 0, this.sharp, 0, 0);
     g.clearRect(0, 0, w, h);
     this.move();
-    METHODS.forEach((method, i) => {
-      const box = this.places[i];
-      if (box.w >= 2 && box.h >= 2) this.label(g, this.matrix(box), box, experiment, method);
+    this.places.forEach((box, i) => {
+      const slot = this.slots[i];
+      if (slot && box.w >= 2 && box.h >= 2) this.label(g, this.matrix(box), box, slot);
     });
   }
 
@@ -141,12 +150,15 @@ export class Arms {
     if (w < 2 || h < 2) return;
     if (body.width !== w || body.height !== h) { body.width = w; body.height = h; }
     raster.begin(w, h);
-    METHODS.forEach((method, i) => { const track = this.shown.get(method)?.track; if (track) amplitudesAt(track, this.time, this.amplitudes[i]); else this.amplitudes[i].fill(0); });
+    const shown = METHODS.map((_, i) => this.shown.get(this.slots[i]?.key));
+    this.amplitudes = this.amplitudes.map((row, i) => { const k = shown[i]?.track.k ?? this.field.k; return row.length === k ? row : new Float64Array(k); });
+    shown.forEach((s, i) => { if (s && !s.rms) amplitudesAt(s.track, this.time, this.amplitudes[i]); else this.amplitudes[i].fill(0); });
     const open = places.find((b) => b.w >= 2 && b.h >= 2);
     if (!open) return;
     this.look(matrixOf(this.view, open.w, open.h));
-    for (const s of this.drawn) displace(field.surfaces[s], this.amplitudes, work[s].states, work[s].seen.vertices);
-    METHODS.forEach((_, i) => { if (places[i].w >= 2 && places[i].h >= 2) this.drawBody(i, places[i]); });
+    for (const s of this.drawn) displace(field.surfaces[s], this.amplitudes, work[s].states, work[s].seen.vertices, shown.map((p) => p?.track.net));
+    shown.forEach((p, i) => { if (p?.rms) work[0].states[i].u.set(p.rms); });
+    this.slots.forEach((_, i) => { if (places[i].w >= 2 && places[i].h >= 2) this.drawBody(i, places[i]); });
     /** @type {CanvasRenderingContext2D} */ (body.getContext("2d", { willReadFrequently: true })).putImageData(raster.image(), 0, 0);
   }
 
@@ -174,25 +186,26 @@ export class Arms {
     this.field.surfaces.forEach((surface, s) => { this.work[s].seen = seen(surface, this.work[s].open, matrix, eye, s > 0 || this.section !== ""); });
   }
 
-  /** @param {number} method its number @param {Box} box */
-  drawBody(method, box) {
-    const { field, view, raster, drawn } = this, shown = this.shown.get(METHODS[method]), dark = this.theme === "dark";
+  /** @param {number} number of the panel @param {Box} box */
+  drawBody(number, box) {
+    const { field, view, raster, drawn } = this, slot = this.slots[number], shown = this.shown.get(slot.key), dark = this.theme === "dark";
     const camera = { matrix: matrixOf(view, box.w, box.h), eye: eyeOf(view), panel: raster.panel(box, this.scale) };
     const side = this.section === "along" ? [0, -1, 0] : [-1, 0, 0], at = drawn.length > 1 ? field.surfaces[drawn[1]].rest : null;
     for (const s of drawn) {
-      const { positions, normals, states, seen: part, lines } = this.work[s], { moved, u } = states[method];
+      const { positions, normals, states, seen: part, lines } = this.work[s], { moved, u } = states[number];
       deform(field.surfaces[s], part, moved, shown?.gain ?? 0, positions, normals);
       const cut = s === 0 && at ? [...side, side[0] * at[0] + side[1] * at[1]] : null;
       raster.surface(part, positions, normals, u, camera, { limit: shown?.limit || 1, table: this.tables[dark ? "dark" : "light"], cut, flat: s > 0 });
       if (lines) raster.lines(lines, positions, dark ? [0.9, 0.9, 0.9, 0.8] : [0.15, 0.15, 0.18, 0.75], camera);
     }
     const tone = dark ? [0.72, 0.76, 0.82, 0.26] : [0.30, 0.34, 0.40, 0.26];
-    this.bodies.forEach((/** @type {any} */ b, /** @type {number} */ k) => raster.glass(b.triangles, b.normals, this.lifted[k] ? [...tone.slice(0, 3), 0.08] : tone, camera));
+    const kept = slot.key.startsWith("kept"), bodies = kept ? this.keptInputs.map(actuatorBody) : this.bodies;
+    bodies.forEach((/** @type {any} */ b, /** @type {number} */ k) => raster.glass(b.triangles, b.normals, !kept && this.lifted[k] ? [...tone.slice(0, 3), 0.08] : tone, camera));
   }
 
   /** Points, target, zeros, cones and a scale bar over one panel. @param {CanvasRenderingContext2D} g @param {Float32Array} matrix @param {Box} box
-   * @param {Experiment | null} experiment @param {Method} method */
-  label(g, matrix, box, experiment, method) {
+   * @param {Slot} slot */
+  label(g, matrix, box, { experiment, method, key }) {
     const dark = this.theme === "dark", ink = dark ? "#f2f0ec" : "#1f2226", soft = dark ? "#a9afb8" : "#5a6068", warm = dark ? "#ffb066" : "#a04a00";
     g.save();
     g.beginPath(); g.rect(box.x, box.y, box.w, box.h); g.clip();
@@ -211,7 +224,8 @@ export class Arms {
       if (few || aimed) { g.font = aimed ? "600 12px system-ui, sans-serif" : "10.5px system-ui, sans-serif"; g.fillText(p.name, x + (aimed ? 12 : 8), y - (aimed ? 9 : 7)); }
     });
     g.fillStyle = soft; g.font = "600 11px system-ui, sans-serif";
-    this.inputs.forEach((/** @type {any} */ p, /** @type {number} */ k) => { const [x, y] = project(matrix, this.bodies[k].top, box); g.fillText(p.name, x, y - 8); });
+    const inputs = key.startsWith("kept") ? this.keptInputs : this.inputs;
+    inputs.forEach((/** @type {any} */ p, /** @type {number} */ k) => { const [x, y] = project(matrix, actuatorBody(p).top, box); g.fillText(p.name, x, y - 8); });
     this.bar(g, matrix, box, soft);
     g.restore();
   }
@@ -251,11 +265,12 @@ export class Arms {
     return { vertex: near.filter((c) => c.depth < front + 8).sort((p, q) => p.d - q.d)[0].v };
   }
 
-  /** What the panel's scales are. @param {Method} method @param {Experiment} experiment @returns {string} */
-  words(method, experiment) {
+  /** What the panel's scales are. @param {Method} method @param {Experiment} experiment @param {string} [key] @returns {string} */
+  words(method, experiment, key = method) {
     if (this.live) return `points only · colours to ±${say(1e6 * this.largest(experiment, method), 2)} µm`;
-    const shown = this.shown.get(method);
+    const shown = this.shown.get(key);
     if (!shown || !shown.limit) return "";
+    if (shown.rms) return `rms of the skin over the passage · colours to ${say(1e6 * shown.limit, 2)} µm`;
     return `colours to ±${say(1e6 * shown.limit, 2)} µm · motion drawn ${say(shown.gain / 1e3, 3)}×`;
   }
 }

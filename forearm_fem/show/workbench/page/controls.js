@@ -5,7 +5,8 @@
  * @typedef {import("./device.js").Device} Device
  */
 import { $, h, say, sayUnit } from "./dom.js";
-import { METHODS } from "./experiment.js";
+import { Anywhere } from "./anywhere.js";
+import { fitted, METHODS } from "./experiment.js";
 import { exportsPanel } from "./exports.js";
 import { checkSize, FileProblem, fitting, inOneLine, readSamplesCsv, readTransfer, readWav } from "./files.js";
 
@@ -59,15 +60,16 @@ export function transport(app) {
     h("option", { value: "", text: "whole skin" }), ...app.field.surfaces.slice(1).map((s) => h("option", { value: s.name, text: `cut ${s.name}` })));
   section.disabled = app.field.surfaces.length < 2;
   section.title = section.disabled ? "this run kept no motion inside the limb" : "cut the limb open";
+  const map = h("select", { id: "map", "aria-label": "colours", onchange: () => { app.map = map.value === "rms"; app.rescale(); } }, h("option", { value: "", text: "motion now" }), h("option", { value: "rms", text: "map of rms" }));
   const said = () => { play.textContent = app.playing ? "pause" : "play"; play.setAttribute("aria-pressed", String(app.playing)); };
   said();
-  $("transport").replaceChildren(play, h("span", { class: "grow" }, scrub), h("span", { id: "now" }), speed, section, h("label", {}, "motion", factor), h("label", {}, same, "one scale for all"));
+  $("transport").replaceChildren(play, h("span", { class: "grow" }, scrub), h("span", { id: "now" }), speed, map, section, h("label", {}, "motion", factor), h("label", {}, same, "one scale for all"));
   return { said, speed, section, scrub };
 }
 
 /** @param {App} app */
 export function controls(app) {
-  const parts = [targetPart(app), stimulusPart(app), filterPart(app), devicePart(app), ...armsPart(app), measuredPart(app), exportsPanel(app)];
+  const parts = [targetPart(app), placesPart(app), stimulusPart(app), filterPart(app), devicePart(app), ...armsPart(app), measuredPart(app), exportsPanel(app)];
   $("controls").replaceChildren(...parts);
   app.listeners.push(() => pad(app));
   pad(app);
@@ -85,14 +87,37 @@ function targetPart(app) {
   app.listeners.push(() => { const z = app.experiment.settings.zeros; zeros.value = Array.isArray(z) ? "own" : z; });
   return part("Target and zero points", true,
     h("svg", { id: "pad", role: "group", "aria-label": "points: Enter aims, Z makes a zero point" }),
-    h("p", { class: "soft", style: "margin:2px 0 6px;font-size:12px", text: app.field.amplitudes ? `Click a point here or on an arm, or any other place of the skin. Shift-click: zero point.${app.experiment.places ? " Drag an actuator, or move it with the arrow keys." : ""}` : "Click a point here or on an arm. Shift-click: zero point. Between the points nothing is known to aim at." }),
-    app.field.amplitudes ? placeFields(app) : null,
-    h("div", { class: "row" }, h("label", { class: "grow" }, "zeros", zeros)));
+    h("p", { class: "soft", style: "margin:2px 0 6px;font-size:12px", text: app.field.everywhere ? `Click a point here or on an arm, or any other place of the skin. Shift-click: zero point.${app.experiment.places ? " Drag an actuator, or move it with the arrow keys." : ""}` : "Click a point here or on an arm. Shift-click: zero point. Between the points nothing is known to aim at." }),
+    h("details", { class: "more" }, h("summary", { text: "any place, zero points" }), app.field.everywhere ? placeFields(app) : null,
+      h("div", { class: "row" }, h("label", { class: "grow" }, "zeros", zeros))));
+}
+
+/** Actuators moved, added and removed, and two devices beside each other. @param {App} app */
+function placesPart(app) {
+  const { experiment } = app, { places } = experiment, flat = places instanceof Anywhere, now = () => /** @type {number[][]} */ (experiment.settings.contacts);
+  const keep = h("button", { type: "button", id: "keep", onclick: () => app.keep(!app.kept) });
+  const beside = h("input", { type: "checkbox", id: "beside", onchange: () => { app.beside = beside.checked; app.refresh(); } }), wrap = h("label", {}, beside, "side by side");
+  const name = h("select", { id: "which", "aria-label": "actuator to remove" });
+  app.listeners.push(() => {
+    keep.textContent = app.kept ? "forget the kept device" : "keep this device to compare";
+    wrap.hidden = !app.kept; beside.checked = app.beside;
+    if (name.options.length !== experiment.inputs.length) name.replaceChildren(...experiment.inputs.map((p) => h("option", { text: p.name })));
+  });
+  const without = (/** @type {number} */ k) => {
+    const d = experiment.settings.device, rest = (/** @type {any[]} */ list) => list.filter((_, i) => i !== k);
+    if (now().length < 2) return app.say("one actuator must stay", true);
+    app.set({ contacts: rest(now()), device: { ...d, touching: rest(d.touching), gain: rest(d.gain), spring: rest(d.spring) } });
+  };
+  return part("Actuators", true,
+    places ? h("div", { class: "row" }, field(app, "pitch", "pitch", "mm", [1, 200], () => 1e3 * experiment.pitch, (v) => app.set({ contacts: experiment.spread(v / 1e3) })), h("small", { text: "nearest two" })) : h("p", { class: "soft", style: "margin:0 0 6px;font-size:12px", text: experiment.kind === "transfer" ? "A measured G: its actuators stand where they stood." : "They can be moved on the page of a layered run or of a library." }),
+    flat ? h("div", { class: "row" }, h("button", { type: "button", id: "more", text: "add one", onclick: () => app.set({ contacts: experiment.withOneMore() }) }), h("button", { type: "button", id: "fewer", text: "remove", onclick: () => without(name.selectedIndex) }), name) : null,
+    places ? h("div", { class: "row" }, h("button", { type: "button", id: "home", text: "places as in the run", onclick: () => { const o = experiment.original(); app.set({ contacts: o.contacts, device: fitted(experiment.settings.device, o.contacts?.length ?? experiment.inputs.length) }); } })) : null,
+    experiment.changeable ? h("div", { class: "row" }, keep, wrap) : null);
 }
 
 /** The points seen from above. @param {App} app */
 function pad(app) {
-  const { experiment } = app, { outputs, inputs, settings } = experiment, svg = $("pad"), { places } = experiment, all = [...outputs, ...inputs, ...(places ? Array.from({ length: places.n }, (_, i) => ({ position: Array.from(places.position.subarray(3 * i, 3 * i + 3)) })) : [])];
+  const { experiment } = app, { outputs, inputs, settings } = experiment, svg = $("pad"), { places } = experiment, all = [...outputs, ...inputs, ...(places instanceof Anywhere ? [-1, 1].map((s) => ({ position: places.middle.map((m, c) => m + s * places.half[c]) })) : places ? Array.from({ length: places.n }, (_, i) => ({ position: Array.from(places.position.subarray(3 * i, 3 * i + 3)) })) : [])];
   const x = all.map((p) => 1e3 * p.position[0]), y = all.map((p) => -1e3 * p.position[1]), room = 7;
   const box = [Math.min(...x) - room, Math.min(...y) - room, Math.max(...x) - Math.min(...x) + 2 * room, Math.max(...y) - Math.min(...y) + 2 * room];
   const held = experiment.zerosOf(app.focus === "funneling" ? "inverse filter" : app.focus, settings.target), focused = document.activeElement, active = ["data-row", "data-actuator"].map((n) => [n, focused?.getAttribute(n)]).find(([, v]) => v);
@@ -100,6 +125,7 @@ function pad(app) {
   const small = Math.min(4.2, 0.32 * nearest(outputs));
   svg.replaceChildren(
     ...patch(app),
+    ...(app.kept ? app.kept.inputs.map((p) => h("circle", { class: "cone ghost", cx: 1e3 * p.position[0], cy: -1e3 * p.position[1], r: Math.max(1e3 * p.radius, 1.5) })) : []),
     ...inputs.map((p, k) => h("g", experiment.places ? mover(app, k) : {}, h("circle", { class: "cone", cx: 1e3 * p.position[0], cy: -1e3 * p.position[1], r: Math.max(1e3 * p.radius, 1.5) }), h("text", { x: 1e3 * p.position[0], y: -1e3 * p.position[1] + 0.36 * Math.min(3, 0.8 * Math.max(1e3 * p.radius, 1.5)), text: p.name, style: `font-size:${Math.min(3, 0.8 * Math.max(1e3 * p.radius, 1.5))}px;fill:var(--soft)` }))),
     ...outputs.map((p, row) => {
       const cx = 1e3 * p.position[0], cy = -1e3 * p.position[1], aimed = row === settings.target, zero = held.includes(row);
@@ -117,6 +143,7 @@ function pad(app) {
 function patch(app) {
   const { places } = app.experiment;
   if (!places) return [];
+  if (places instanceof Anywhere) { const [[x, y], [a, b]] = [places.middle, places.half].map((p) => p.map((v) => 1e3 * v)); return [h("rect", { class: "patch", x: x - a, y: -y - b, width: 2 * a, height: 2 * b, rx: 1 })]; }
   const at = Array.from({ length: places.n }, (_, i) => [1e3 * places.xy[2 * i], -1e3 * places.xy[2 * i + 1]]), r = 1e3 * places.radius;
   const [x, y] = [0, 1].map((c) => at.map((p) => p[c])), low = [Math.min(...x) - r, Math.min(...y) - r];
   return [h("rect", { class: "patch", x: low[0], y: low[1], width: Math.max(...x) + r - low[0], height: Math.max(...y) + r - low[1], rx: 1 })];
@@ -181,9 +208,9 @@ function stimulusPart(app) {
   const own = h("input", { type: "file", id: "own", accept: ".wav,.csv,.txt", onchange: () => { take(app, own.files); own.value = ""; }, hidden: true });
   return part("Stimulus", true, h("div", { class: "row" }, name),
     h("div", { class: "row" }, field(app, "peak", "Ricker", "Hz", [6 * record.rate / record.n, record.rate / 6], () => peak, (v) => { peak = v; tell({ kind: "ricker", peak }); })),
-    h("div", { class: "row" }, field(app, "tone", "burst", "Hz", [1, record.rate / 4], () => tone, (v) => { tone = v; tell({ kind: "burst", frequency: tone, cycles }); }), field(app, "cycles", "of", "cycles", [1, 1000], () => cycles, (v) => { cycles = v; tell({ kind: "burst", frequency: tone, cycles }); })),
+    h("details", { class: "more" }, h("summary", { text: "burst, own file, amplitude" }), h("div", { class: "row" }, field(app, "tone", "burst", "Hz", [1, record.rate / 4], () => tone, (v) => { tone = v; tell({ kind: "burst", frequency: tone, cycles }); }), field(app, "cycles", "of", "cycles", [1, 1000], () => cycles, (v) => { cycles = v; tell({ kind: "burst", frequency: tone, cycles }); })),
     h("div", { class: "row" }, h("button", { type: "button", onclick: () => own.click(), text: "own WAV or CSV …" }), own, h("small", { text: `at ${say(record.rate)} Hz` })),
-    h("div", { class: "row" }, field(app, "amplitude", "amplitude", "V, or µm (inverse filter)", [1e-6, 1e6], () => experiment.settings.amplitude, (v) => app.set({ amplitude: v }))));
+    h("div", { class: "row" }, field(app, "amplitude", "amplitude", "V, or µm (inverse filter)", [1e-6, 1e6], () => experiment.settings.amplitude, (v) => app.set({ amplitude: v })))));
 }
 
 /** @param {App} app */
@@ -206,17 +233,24 @@ function devicePart(app) {
   const change = (/** @type {Partial<Device>} */ part) => app.set({ device: { ...experiment.settings.device, ...part } });
   const put = (/** @type {any[]} */ list, /** @type {number} */ k, /** @type {any} */ v) => list.map((old, i) => (i === k ? v : old));
   const own = experiment.original().device;
-  const rows = experiment.inputs.map((p, k) => {
-    const kept = STIFFNESS.some(([, s]) => s === own.spring[k]) ? [] : /** @type {[string, number][]} */ ([[`as in the run: ${say(own.spring[k] / 1e3)} N/mm`, own.spring[k]]]);
+  const row = (/** @type {import("./device.js").Port} */ p, /** @type {number} */ k) => {
+    const kept = STIFFNESS.some(([, s]) => s === (own.spring[k] ?? Infinity)) ? [] : /** @type {[string, number][]} */ ([[`as in the run: ${say(own.spring[k] / 1e3)} N/mm`, own.spring[k]]]);
     const choices = [...STIFFNESS, ...kept];
     const gain = h("input", { type: "range", min: 0, max: 2, step: 0.05, "aria-label": `gain of ${p.name}`, onchange: () => change({ gain: put(experiment.settings.device.gain, k, Number(gain.value)) }), oninput: () => { text.textContent = Number(gain.value) ? `${gain.value}×` : "off"; } });
     const text = h("small", {}), touch = h("select", { "aria-label": `contact of ${p.name}`, onchange: () => { const s = choices[touch.selectedIndex][1], d = experiment.settings.device; change({ touching: put(d.touching, k, s > 0), spring: put(d.spring, k, s || Infinity) }); } }, ...choices.map(([t]) => h("option", { text: t })));
-    app.listeners.push(() => {
+    const show = () => {
       const d = experiment.settings.device;
       gain.value = String(d.gain[k]); text.textContent = d.gain[k] ? `${d.gain[k]}×` : "off";
       touch.selectedIndex = Math.max(0, d.touching[k] ? choices.findIndex(([, s]) => s === d.spring[k]) : STIFFNESS.length - 1);
-    });
-    return h("tr", {}, h("td", { text: p.name }), h("td", {}, gain), h("td", {}, text), h("td", {}, touch));
+    };
+    return { element: h("tr", {}, h("td", { text: p.name }), h("td", {}, gain), h("td", {}, text), h("td", {}, touch)), show };
+  };
+  const body = h("tbody", {});
+  let rows = experiment.inputs.map(row);
+  body.replaceChildren(...rows.map((r) => r.element));
+  app.listeners.push(() => {
+    if (rows.length !== experiment.inputs.length) { rows = experiment.inputs.map(row); body.replaceChildren(...rows.map((r) => r.element)); }
+    for (const r of rows) r.show();
   });
   const coil = (/** @type {"moving_mass" | "resonance" | "force_factor" | "resistance"} */ key, /** @type {string} */ text, /** @type {string} */ unit, /** @type {number} */ factor, /** @type {[number, number]} */ range) =>
     h("div", { class: "row" }, field(app, key, text, unit, range, () => experiment.settings.device.coil[key] * factor, (v) => change({ coil: { ...experiment.settings.device.coil, [key]: v / factor } })));
@@ -225,10 +259,10 @@ function devicePart(app) {
   app.listeners.push(() => { fixed.checked = experiment.settings.device.housing.fixed; again.checked = experiment.settings.calibrated; });
   const voltage = experiment.settings.device.drive === "voltage";
   return part("Device", false,
-    h("table", { class: "actuators" }, h("thead", {}, h("tr", {}, h("th", {}), h("th", { text: "gain" }), h("th", {}), h("th", { text: "contact" }))), h("tbody", {}, ...rows)),
+    h("table", { class: "actuators" }, h("thead", {}, h("tr", {}, h("th", {}), h("th", { text: "gain" }), h("th", {}), h("th", { text: "contact" }))), body),
     ...(voltage ? [coil("moving_mass", "coil mass", "g", 1e3, [1e-3, 1e3]), h("div", { class: "row" }, field(app, "cone", "cone mass", "g", [0, 1e3], () => 1e3 * experiment.settings.device.cone.mass, (v) => change({ cone: { mass: v / 1e3 } }))), coil("resonance", "coil's own resonance", "Hz", 1, [0.01, 1e5]), coil("force_factor", "force factor Bl", "T m", 1, [1e-6, 1e4]), coil("resistance", "resistance", "ohm", 1, [1e-4, 1e6]), h("div", { class: "row" }, h("label", {}, fixed, "housing held still"))] : [h("p", { class: "soft", text: `drive: ${experiment.settings.device.drive}; coils play no part` })]),
     h("div", { class: "row" }, h("label", {}, again, "G measured again after changes: renderers know them")),
-    h("div", { class: "row" }, h("button", { type: "button", onclick: () => { const o = experiment.original(); app.set({ device: o.device, calibrated: true }); }, text: "device as in the run" })));
+    h("div", { class: "row" }, h("button", { type: "button", onclick: () => { const o = experiment.original(); app.set({ device: fitted(o.device, experiment.inputs.length), calibrated: true }); }, text: "device as in the run" })));
 }
 
 /** The next or the last drawn arm, the run's own among them. @param {App} app @param {number} step */
@@ -365,7 +399,7 @@ export function pointer(app) {
     const box = over.getBoundingClientRect(), hit = arms.pick(e.clientX - box.left, e.clientY - box.top, experiment);
     if (!hit) return;
     if ("row" in hit) return e.shiftKey ? toggleZero(app, hit.row) : aimAt(app, hit.row);
-    if (!app.field.amplitudes) return app.say("between the points nothing is known to aim at; click a point");
+    if (!app.field.everywhere) return app.say("between the points nothing is known to aim at; click a point");
     aimBetween(app, hit.vertex);
   });
   over.addEventListener("pointercancel", () => { down = null; }); // a finger scrolls the page

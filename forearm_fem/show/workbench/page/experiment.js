@@ -22,7 +22,7 @@
  * @property {Device} device
  * @property {boolean} calibrated  whether renderers know the changed device
  * @property {number} arm  0 is the run's own, the others are drawn ones
- * @property {number[][] | null} contacts  where actuators stand, seen from above [m]; only with a library
+ * @property {number[][] | null} contacts  where actuators stand, seen from above [m]; only with a library or flat layers
  * @typedef {object} Outcome  one method at one target
  * @property {Method} method
  * @property {string} problem  why there is none; empty otherwise
@@ -39,6 +39,7 @@ import { unpack, unpackAmplitudes, unpackComplex, zeros } from "./arrays.js";
 import { complianceAt, polesOf } from "./compliance.js";
 import { closeLoop } from "./device.js";
 import { toSpectrum, toTime } from "./fft.js";
+import { Anywhere } from "./anywhere.js";
 import { Places } from "./places.js";
 import { aim, knownInputs, respond } from "./renderers.js";
 import { area, strengthOf } from "./strength.js";
@@ -65,11 +66,12 @@ export class Experiment {
     this.error = unpack(content.error);
     this.kind = content.model.kind;
     this.poles = this.kind === "poles" ? polesOf(content.model) : null;
-    /** Where actuators may stand, if the page was made of a library. @type {Places | null} */
-    this.places = this.kind === "places" ? new Places(content.model) : null;
-    this.skin = this.places ? this.places.skin(content.model.home) : this.poles
+    /** Where actuators may stand: on a library's patch, or anywhere on flat layers. @type {Places | Anywhere | null} */
+    this.places = this.kind === "places" ? new Places(content.model) : content.anywhere ? new Anywhere(content.anywhere, this.frequency, this.points) : null;
+    this.skin = this.places instanceof Places ? this.places.skin(content.model.home) : this.poles
       ? complianceAt(this.poles, this.frequency, this.inputs.length)
       : this.kind === "samples" ? unpackComplex(content.model.values) : zeros(0);
+    this.skinAsRun = this.skin;
     this.measured = this.kind === "transfer"
       ? { values: unpackComplex(content.model.values), valid: /** @type {Uint8Array} */ (unpack(content.model.valid)) }
       : null;
@@ -86,7 +88,7 @@ export class Experiment {
 
   /** Settings with which the run was made. @returns {Settings} */
   original() {
-    const { rendering, device } = this.content, names = this.points.map((p) => p.name);
+    const { rendering, device } = this.content, inputs = /** @type {Port[]} */ (this.content.inputs), names = this.points.map((p) => p.name);
     const targets = rendering.targets === "all" ? names : rendering.targets;
     const start = targets.includes("5") ? "5" : targets[Math.floor(targets.length / 2)] ?? names[0];
     return {
@@ -101,14 +103,36 @@ export class Experiment {
         : ricker(rendering.wavelet.peak, this.record),
       device: {
         drive: device.drive, coil: { ...device.coil }, cone: { mass: device.cone.mass }, housing: { ...device.housing },
-        touching: this.inputs.map((p) => !device.out_of_contact.includes(p.name)),
-        gain: this.inputs.map((p) => device.gains?.[p.name] ?? 1),
-        spring: this.inputs.map((p) => device.contact_springs?.[p.name] ?? Infinity),
+        touching: inputs.map((p) => !device.out_of_contact.includes(p.name)),
+        gain: inputs.map((p) => device.gains?.[p.name] ?? 1),
+        spring: inputs.map((p) => device.contact_springs?.[p.name] ?? Infinity),
       },
       calibrated: true,
       arm: 0,
-      contacts: this.kind === "places" ? this.content.model.home : null,
+      contacts: this.home,
     };
+  }
+
+  /** Where the run had its actuators, if they can be moved. @returns {number[][] | null} */
+  get home() {
+    return this.places instanceof Anywhere ? this.places.home : this.places ? this.content.model.home : null;
+  }
+
+  /** Whether actuators of a run on flat layers stand elsewhere than in the run. */
+  get moved() {
+    return this.places instanceof Anywhere && JSON.stringify(this.settings.contacts) !== JSON.stringify(this.places.home);
+  }
+
+  /** What answers, and how far off G may be. @returns {{engine: string, error: number | null}} */
+  get engine() {
+    const { content } = this, known = this.errors.map((/** @type {any} */ e) => e.band), error = known.includes(null) || !known.length ? null : known.reduce((/** @type {number} */ a, /** @type {number} */ b) => a + b, 0);
+    const engine = this.kind === "transfer" ? "G as given" : this.kind === "places" ? "the arm's library" : this.moved ? "the layered model, from tables in this page" : content.engine === "layered" ? "the layered model, as run" : "finite elements, as run";
+    return { engine, error };
+  }
+
+  /** Errors of G, packed: of the run, or of the page's tables once an actuator has moved. @returns {any[]} */
+  get errors() {
+    return this.moved ? this.content.anywhere.errors : this.content.errors;
   }
 
   /** Whether the device can be changed: only where the skin's compliance is known. */
@@ -134,6 +158,7 @@ export class Experiment {
     if (change.arm && (change.place ?? this.settings.place)) throw new RangeError("of a drawn arm nothing is known between the points; choose a point first");
     if (change.place && (change.arm ?? this.settings.arm)) throw new RangeError("of a drawn arm nothing is known between the points; choose a point, or the run's own arm");
     if (change.contacts && this.places && change.contacts !== this.settings.contacts) this.stand(change.contacts);
+    if (change.contacts) change = { ...change, device: fitted(change.device ?? this.settings.device, change.contacts.length) };
     this.settings = { ...this.settings, ...change };
     for (const key of this.cache.keys()) {
       if (!("device" in change || "place" in change || "contacts" in change || "arm" in change) && (key.startsWith("loop") || key.startsWith("svd"))) continue;
@@ -144,17 +169,42 @@ export class Experiment {
 
   /** Put the actuators elsewhere on a library's patch; a RangeError says where they cannot stand. @param {number[][]} contacts */
   stand(contacts) {
-    const places = /** @type {Places} */ (this.places), problem = places.refusal(contacts, this.inputs.map((p) => p.name));
+    const places = /** @type {Places | Anywhere} */ (this.places), names = contacts.map((_, k) => `A${k + 1}`), unmoved = places instanceof Anywhere && JSON.stringify(contacts) === JSON.stringify(places.home);
+    const problem = unmoved ? "" : places.refusal(contacts, names);
     if (problem) throw new RangeError(problem);
-    this.skin = places.skin(contacts);
-    this.inputs = this.inputs.map((p, k) => places.port(contacts[k], p));
+    this.skin = unmoved ? this.skinAsRun : places.skin(contacts);
+    this.inputs = unmoved ? this.content.inputs : contacts.map((at, k) => ({ ...places.port(at, this.content.inputs[k] ?? this.content.inputs[0]), name: this.content.inputs[k]?.name ?? names[k] }));
+  }
+
+  /** The distance of the two nearest actuators [m]. */
+  get pitch() {
+    const at = this.inputs.map((p) => p.position);
+    return at.reduce((least, a, i) => at.slice(0, i).reduce((d, b) => Math.min(d, Math.hypot(a[0] - b[0], a[1] - b[1])), least), Infinity);
+  }
+
+  /** Put the nearest actuators `pitch` [m] apart, the arrangement keeping its shape and middle. @param {number} pitch */
+  spread(pitch) {
+    const now = /** @type {number[][]} */ (this.settings.contacts), by = pitch / this.pitch, middle = [0, 1].map((c) => now.reduce((s, p) => s + p[c], 0) / now.length);
+    return now.map((p) => p.map((v, c) => Number((middle[c] + by * (v - middle[c])).toFixed(6))));
+  }
+
+  /** The contacts and one more, far from all others and from the points, near the middle. @returns {number[][]} */
+  withOneMore() {
+    const places = /** @type {Anywhere} */ (this.places), now = /** @type {number[][]} */ (this.settings.contacts), { half, middle, radius } = places;
+    let best = now[0], room = -1;
+    for (let x = -half[0] + radius; x <= half[0] - radius; x += 5e-4) for (let y = -half[1] + radius; y <= half[1] - radius; y += 5e-4) {
+      const at = [middle[0] + x, middle[1] + y], clear = (/** @type {number[]} */ p) => Math.hypot(at[0] - p[0], at[1] - p[1]);
+      const gap = Math.min(...now.map(clear), ...this.points.map((p) => 2 * clear(p.position))) - 0.3 * Math.hypot(x, y);
+      if (gap > room) { room = gap; best = at; }
+    }
+    return [...now, best.map((v) => Number(v.toFixed(6)))];
   }
 
   /** Compliance with the free place's row (frequency x ports x contacts). */
   ports() {
     const { place } = this.settings, n = this.inputs.length, own = n + this.points.length;
     if (!place || !this.reach) return this.skin;
-    const row = this.reach(place.vertex), all = zeros(this.frequency.length * (own + 1) * n);
+    const row = this.places instanceof Anywhere ? this.places.at(/** @type {number[][]} */ (this.settings.contacts), place.position) : this.reach(place.vertex), all = zeros(this.frequency.length * (own + 1) * n);
     for (let f = 0; f < this.frequency.length; f++) for (const part of /** @type {("re" | "im")[]} */ (["re", "im"])) {
       all[part].set(this.skin[part].subarray(f * own * n, (f + 1) * own * n), f * (own + 1) * n);
       all[part].set(row[part].subarray(f * n, (f + 1) * n), (f * (own + 1) + own) * n);
@@ -175,14 +225,14 @@ export class Experiment {
   /** G that plays: the present device's. @returns {Placed} */
   transfer() {
     const { measured } = this, { arm } = this.settings, values = arm ? this.drawnArms[arm - 1] : measured ? measured.values : this.once("loop now", () => this.loop(this.settings.device)).transfer;
-    return { values, valid: measured?.valid ?? null, error: this.error, least: this.content.least_error, outputs: this.outputs, inputs: this.inputs, bins: this.index.length, weights: this.places ? undefined : this.content.funneling };
+    return { values, valid: measured?.valid ?? null, error: this.error, least: this.content.least_error, outputs: this.outputs, inputs: this.inputs, bins: this.index.length, weights: this.kind === "places" || this.moved ? undefined : this.content.funneling };
   }
 
   /** G that the renderers aim with: the present one, or the run's if the device was not calibrated again. @returns {Placed} */
   believed() {
     if (this.settings.calibrated || this.measured) return this.transfer();
     if (this.settings.arm) return { ...this.transfer(), values: this.once("loop now", () => this.loop(this.settings.device)).transfer };
-    return { ...this.transfer(), values: this.once("loop before", () => this.loop(this.original().device)).transfer };
+    return { ...this.transfer(), values: this.once("loop before", () => this.loop(fitted(this.original().device, this.inputs.length))).transfer };
   }
 
   /** G at any frequency inside the band (frequency x points x inputs), by the poles. @param {ArrayLike<number>} frequency
@@ -290,7 +340,7 @@ export class Experiment {
 
   /** Whether S is that of the run: nothing changed but target and view. @returns {boolean} */
   get asRun() {
-    if (this.places || this.settings.arm) return false;
+    if (this.kind === "places" || this.moved || this.settings.arm) return false;
     const now = this.settings, then = this.original();
     return now.place === null && now.zeros === "run" && JSON.stringify([now.rule, now.window]) === JSON.stringify([then.rule, then.window])
       && now.wavelet.kind === then.wavelet.kind && now.wavelet.name === then.wavelet.name && sameDevice(now.device, then.device);
@@ -337,4 +387,10 @@ export class Experiment {
 function sameDevice(a, b) {
   const plain = (/** @type {Device} */ d) => JSON.stringify({ ...d, spring: d.spring.map(String) });
   return plain(a) === plain(b);
+}
+
+/** A device with another number of actuators: new ones touch in full. @param {Device} device @param {number} n @returns {Device} */
+export function fitted(device, n) {
+  const all = Array.from({ length: n }, (_, k) => k);
+  return { ...device, touching: all.map((k) => device.touching[k] ?? true), gain: all.map((k) => device.gain[k] ?? 1), spring: all.map((k) => device.spring[k] ?? Infinity) };
 }

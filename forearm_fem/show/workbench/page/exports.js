@@ -50,12 +50,14 @@ function composed(app) {
   g.drawImage(over, 0, 0);
   g.setTransform(s, 0, 0, s, 0, 0);
   app.arms.boxes().forEach((box, i) => {
-    const method = METHODS[i], o = app.experiment.outcome(method);
-    g.fillStyle = ink(`--${CLASS[method]}`); g.font = "600 14px system-ui, sans-serif"; g.fillText(method, box.x + 14, box.y + 24);
+    const slot = app.slots[i];
+    if (!slot) return;
+    const { method, experiment, title, key } = slot, o = experiment.outcome(method);
+    g.fillStyle = ink(`--${CLASS[method]}`); g.font = "600 14px system-ui, sans-serif"; g.fillText(`${title}${method}`, box.x + 14, box.y + 24);
     g.fillStyle = ink("--ink"); g.font = "600 20px system-ui, sans-serif"; g.fillText(o.problem ? "" : `S ${o.strength.toPrecision(3)}`, box.x + 14, box.y + 48);
-    const range = app.experiment.interval(method, app.experiment.settings.target);
+    const range = experiment.interval(method, experiment.settings.target);
     if (range) { g.fillStyle = ink("--soft"); g.font = "11px system-ui, sans-serif"; g.fillText(`${range.map((v) => v.toPrecision(3)).join(" to ")} by the errors of G`, box.x + 14, box.y + 64); }
-    g.fillStyle = ink("--soft"); g.font = "11px system-ui, sans-serif"; g.fillText(app.arms.words(method, app.experiment), box.x + 14, box.y + box.h - 12);
+    g.fillStyle = ink("--soft"); g.font = "11px system-ui, sans-serif"; g.fillText(app.arms.words(method, experiment, key), box.x + 14, box.y + box.h - 12);
   });
   g.fillStyle = ink("--soft"); g.font = "11px system-ui, sans-serif"; g.fillText(caption(app), 10, over.height / s + 17);
   return out;
@@ -212,11 +214,11 @@ export function scenarioToml(app) {
   put("device.out_of_contact", experiment.inputs.filter((_, k) => !device.touching[k]).map((p) => p.name));
   put("device.gains", named((k) => (device.gain[k] === 1 ? null : device.gain[k])));
   put("device.contact_springs", named((k) => (Number.isFinite(device.spring[k]) && device.touching[k] ? device.spring[k] : null)));
-  if (experiment.places && settings.contacts) {
+  if ((experiment.kind === "places" || experiment.moved) && settings.contacts) {
     const [c, s] = [Math.cos(content.device.rotation ?? 0), Math.sin(content.device.rotation ?? 0)];
     without("device", ["rows", "columns", "spacing", "spacing_y", "stagger"]);
     put("device.contacts", settings.contacts.map(([x, y]) => [c * x + s * y, -s * x + c * y].map((v) => Number(v.toFixed(6)))));
-    notes.push("run it with --library and the library that this page was made of, or without for a solve");
+    if (experiment.kind === "places") notes.push("run it with --library and the library that this page was made of, or without for a solve");
   }
   put("rendering.methods", METHODS);
   put("rendering.amplitude", settings.amplitude);

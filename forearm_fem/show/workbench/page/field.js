@@ -4,12 +4,15 @@
  * @typedef {import("./arrays.js").Complex} Complex
  * @typedef {{name: string, rest: Float32Array, normals: Float32Array, faces: Uint16Array | Uint32Array, shapes: Float32Array,
  *   components: number, tissue: Uint8Array | null, tissues: string[]}} Surface  lengths in mm
- * @typedef {{steps: Float32Array, count: number, first: number, rate: number}} Track  amplitudes (count x k) [m], from `first` [s]
+ * @typedef {import("./anywhere.js").Net} Net
+ * @typedef {{steps: Float32Array, count: number, first: number, rate: number, k: number, net: Net | null}} Track  amplitudes
+ *   (count x k) [m], from `first` [s]: of the surfaces' shapes, or of the signals that a net joins at each vertex
  */
 import { unpack, unpackAmplitudes, unpackShapes, zeros } from "./arrays.js";
 import { toTime } from "./fft.js";
 
 const PER_CYCLE = 8;
+const INSTANTS = 96; // of a passage: two to a cycle of the highest frequency that carries any energy to speak of
 
 export class Field {
   /** @param {any} content packed @param {number} inputs */
@@ -23,12 +26,19 @@ export class Field {
     this.amplitudes = content.amplitudes && unpackAmplitudes(content.amplitudes);
     this.k = content.surfaces[0].shapes.values.shape[2];
     this.inputs = inputs;
+    /** Tables for discs anywhere, if the skin is flat. @type {import("./anywhere.js").Anywhere | null} */
+    this.anywhere = null;
     this.words = content.words;
     this.error = content.error;
   }
 
   get skin() {
     return this.surfaces[0];
+  }
+
+  /** Whether motion is known between the points. */
+  get everywhere() {
+    return Boolean(this.amplitudes || this.anywhere);
   }
 
   /** The vertex of the skin nearest to a place seen from above [mm], and how far it is. @param {number} x @param {number} y */
@@ -69,16 +79,35 @@ export class Field {
    * Amplitudes over time for forces per drive (bins x contacts x inputs) and drives (bins x inputs).
    * @param {Complex | null} force @param {Complex} sent @param {Complex} spectra of the points, where nothing else is known
    * @param {Int32Array} index @param {number} duration [s] of the record @param {[number, number]} span [s] to keep
-   * @returns {Track}
+   * @param {number[][] | null} [contacts] where the actuators stand, on flat skin @returns {Track}
    */
-  track(force, sent, spectra, index, duration, span) {
-    const driven = this.amplitudes && force ? this.driven(force, sent, index.length) : this.followed(spectra, index.length);
+  track(force, sent, spectra, index, duration, span, contacts) {
+    const net = this.anywhere && contacts ? this.anywhere.net(contacts, this.skin.rest) : null, k = net ? net.k : this.k;
+    const driven = net && force ? this.radiated(force, sent, index.length) : this.amplitudes && force ? this.driven(force, sent, index.length) : this.followed(spectra, index.length);
     const n = fast(PER_CYCLE * (index[index.length - 1] + 1)), rate = n / duration;
-    const rows = toTime(driven, this.k, index, n, rate), centre = Math.floor(n / 2);
+    const rows = toTime(driven, k, index, n, rate), centre = Math.floor(n / 2);
     const first = Math.max(0, Math.floor(span[0] * rate) + centre - 1), last = Math.min(n - 1, Math.ceil(span[1] * rate) + centre + 2);
-    const count = last - first + 1, steps = new Float32Array(count * this.k);
-    rows.forEach((row, j) => { for (let t = 0; t < count; t++) steps[t * this.k + j] = row[first + t]; });
-    return { steps, count, first: (first - centre) / rate, rate };
+    const count = last - first + 1, steps = new Float32Array(count * k);
+    rows.forEach((row, j) => { for (let t = 0; t < count; t++) steps[t * k + j] = row[first + t]; });
+    return { steps, count, first: (first - centre) / rate, rate, k, net };
+  }
+
+  /** What each disc alone sends out (bins x (contacts x radii)). @param {Complex} force @param {Complex} sent @param {number} bins @returns {Complex} */
+  radiated(force, sent, bins) {
+    const inputs = sent.re.length / bins, table = /** @type {import("./anywhere.js").Anywhere} */ (this.anywhere), field = table.radial(), width = table.radii + 1, k = inputs * width, out = zeros(bins * k);
+    for (let f = 0; f < bins; f++) for (let c = 0; c < inputs; c++) {
+      let re = 0, im = 0;
+      for (let i = 0; i < inputs; i++) {
+        const x = (f * inputs + c) * inputs + i, y = f * inputs + i;
+        re += force.re[x] * sent.re[y] - force.im[x] * sent.im[y];
+        im += force.re[x] * sent.im[y] + force.im[x] * sent.re[y];
+      }
+      for (let j = 0, from = f * width, to = f * k + c * width; j < width; j++, from++, to++) {
+        out.re[to] = field.re[from] * re - field.im[from] * im;
+        out.im[to] = field.re[from] * im + field.im[from] * re;
+      }
+    }
+    return out;
   }
 
   /** @param {Complex} force @param {Complex} sent @param {number} bins @returns {Complex} */
@@ -123,7 +152,7 @@ function fast(n) {
 /** Amplitudes (k,) at an instant, a cubic through four neighbours (Catmull and Rom). @param {Track} track @param {number} t [s]
  * @param {Float64Array} out */
 export function amplitudesAt(track, t, out) {
-  const k = out.length, at = (t - track.first) * track.rate, i = Math.min(Math.max(Math.floor(at), 1), track.count - 3), x = at - i;
+  const { k } = track, at = (t - track.first) * track.rate, i = Math.min(Math.max(Math.floor(at), 1), track.count - 3), x = at - i;
   if (at < 0 || at > track.count - 1) return out.fill(0);
   const w = [((-x + 2) * x - 1) * x / 2, ((3 * x - 5) * x * x + 2) / 2, ((-3 * x + 4) * x + 1) * x / 2, ((x - 1) * x * x) / 2];
   for (let j = 0; j < k; j++) {
@@ -139,8 +168,10 @@ export function amplitudesAt(track, t, out) {
  * the shapes costs more time than the sums.
  * @param {Surface} surface @param {Float64Array[]} states three rows of amplitudes (k,)
  * @param {{moved: Float32Array, u: Float32Array}[]} into one for each @param {ArrayLike<number>} vertices
+ * @param {(Net | null | undefined)[]} [nets] of each state, on flat skin
  */
-export function displace(surface, [a, b, c], into, vertices) {
+export function displace(surface, [a, b, c], into, vertices, nets) {
+  if (nets?.some(Boolean)) return nets.forEach((net, s) => joined(surface, [a, b, c][s], into[s], vertices, net));
   const { shapes, normals, components } = surface, k = a.length;
   for (let i = 0; i < vertices.length; i++) {
     const v = vertices[i];
@@ -160,4 +191,29 @@ export function displace(surface, [a, b, c], into, vertices) {
     into[0].u[v] = along; into[1].u[v] = bAlong; into[2].u[v] = cAlong;
     if (components === 1) for (const { moved, u } of into) for (let part = 0; part < 3; part++) moved[3 * v + part] = u[v] * normals[3 * v + part];
   }
+}
+
+/** The same of one state whose signals a net joins. @param {Surface} surface @param {Float64Array} signals @param {{moved: Float32Array, u: Float32Array}} into
+ * @param {ArrayLike<number>} vertices @param {Net | null | undefined} net */
+function joined({ normals }, signals, into, vertices, net) {
+  for (let i = 0; i < vertices.length; i++) {
+    const v = vertices[i];
+    let along = 0;
+    if (net) for (let s = v * net.slots, end = s + net.slots; s < end; s++) along += net.weight[s] * signals[net.at[s]];
+    into.u[v] = along;
+    for (let part = 0; part < 3; part++) into.moved[3 * v + part] = along * normals[3 * v + part];
+  }
+}
+
+/** Root mean square of the motion along the normal over a track (n,) [m], from some of its instants. @param {Surface} surface
+ * @param {Track} track @returns {Float32Array} */
+export function rmsOf(surface, track) {
+  const n = surface.rest.length / 3, vertices = Uint32Array.from({ length: n }, (_, v) => v), sum = new Float32Array(n), rows = [0, 1, 2].map(() => new Float64Array(track.k));
+  const states = rows.map(() => ({ moved: new Float32Array(3 * n), u: new Float32Array(n) }));
+  for (let k = 0; k < INSTANTS; k += 3) {
+    rows.forEach((row, i) => amplitudesAt(track, track.first + ((k + i + 0.5) / INSTANTS) * (track.count / track.rate), row));
+    displace(surface, rows, states, vertices, rows.map(() => track.net));
+    for (const { u } of states) for (let v = 0; v < n; v++) sum[v] += u[v] * u[v] / INSTANTS;
+  }
+  return sum.map(Math.sqrt);
 }

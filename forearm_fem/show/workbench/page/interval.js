@@ -19,10 +19,10 @@ import { windowOf } from "./wavelet.js";
 const DRAWS = 12, CORRELATION = 50, WAVES = 64; // [Hz] over which errors are smooth
 const HALF_WIDTH = 1.5, LEAST_SPAN = 4; // rms changes of log S (decision on the interval of S); windows that the record holds
 
-/** Why no interval can be drawn; empty if one can. @param {any} content of the page @returns {string} */
-export function whyNone(content) {
-  if (content.errors.every((/** @type {any} */ e) => e.source === "bridging")) return "this G states no errors"; // of its own
-  const lost = content.errors.filter((/** @type {any} */ e) => e.band === null).map((/** @type {any} */ e) => e.source);
+/** Why no interval can be drawn; empty if one can. @param {any} content of the page @param {any[]} [errors] of G now @returns {string} */
+export function whyNone(content, errors = content.errors) {
+  if (errors.every((/** @type {any} */ e) => e.source === "bridging")) return "this G states no errors"; // of its own
+  const lost = errors.filter((/** @type {any} */ e) => e.band === null).map((/** @type {any} */ e) => e.source);
   if (lost.length) return `the error by ${lost.join(", ")} is unknown`;
   return content.deviates ? "the scatter between a measurement's sweeps is not drawn here" : "";
 }
@@ -36,10 +36,10 @@ export function whyNone(content) {
  * @returns {Generator<undefined, number[][], undefined>}
  */
 export function* halves(experiment, methods, noise) {
-  const { settings, content } = experiment, short = shorter(experiment), outputs = experiment.outputs.map((_, i) => i);
+  const { settings } = experiment, short = shorter(experiment), outputs = experiment.outputs.map((_, i) => i);
   const frequency = Float64Array.from(short.rows, (b) => experiment.frequency[b]);
   const playing = thinned(experiment.transfer(), short.rows), believed = settings.calibrated ? playing : thinned(experiment.believed(), short.rows);
-  const sources = content.errors.map((/** @type {any} */ e) => sourceOf(e, short.rows));
+  const sources = experiment.errors.map((/** @type {any} */ e) => sourceOf(e, short.rows));
   const square = methods.map(() => outputs.map(() => 0));
   /** @type {number[][]} */
   const base = [];

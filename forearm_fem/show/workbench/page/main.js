@@ -29,8 +29,6 @@ function failed(problem) {
 function head(content) {
   $("name").textContent = content.name;
   $("description").textContent = content.description;
-  const engine = content.model.kind === "transfer" ? "a G that was given" : content.model.kind === "places" ? "an arm's library: actuators can be dragged" : content.engine === "layered" ? "layered twin: flat, endless layers" : "finite elements";
-  $("badge").textContent = `${engine} · ${content.inputs.length} actuators · ${content.outputs.length} points`;
   $("stamp").textContent = `${content.stamp}${content.stamp.includes("forearm_fem") ? "" : ` · forearm_fem ${content.program}`} · e^{+iωt}, displacement positive out of the skin`;
 }
 
@@ -98,9 +96,11 @@ function start(content, field, arms, ready) {
   app.listeners.push(() => heads(app), () => traces(app), () => spectra(app), () => table(app, (row) => aimAt(app, row)), () => errors(app), () => {
     const shown = arms.shown.get(app.focus), limit = shown?.limit ?? (arms.live ? arms.largest(experiment, app.focus) : 0);
     const most = limit ? `${say(1e6 * limit, 2)} µm` : "";
-    $("low").textContent = most && `−${most}`;
-    $("high").textContent = most && `+${most} outwards`;
-    $("scale").textContent = shown ? `${app.focus}; ${arms.section ? "on the cut: motion towards the volar side" : "displacement along the skin's normal"}` : "";
+    $("low").textContent = most && (shown?.rms ? "0" : `−${most}`);
+    $("high").textContent = most && (shown?.rms ? `${most} rms` : `+${most} outwards`);
+    $("bar").style.objectPosition = shown?.rms ? "right" : "";
+    $("bar").classList.toggle("half-bar", Boolean(shown?.rms));
+    $("scale").textContent = shown?.rms ? `${app.focus}; rms over ${app.span.map((t) => (1e3 * t).toFixed(0)).join(" to ").replace(/-/g, "−")} ms, along the skin's normal` : shown ? `${app.focus}; ${arms.section ? "on the cut: motion towards the volar side" : "displacement along the skin's normal"}` : "";
   });
   // paper has another width than the screen: it gets a picture, drawn after the colours for paper are put
   addEventListener("beforeprint", () => $("printed").replaceChildren(still(app)));
@@ -109,6 +109,10 @@ function start(content, field, arms, ready) {
   keys(app, bar, turn);
   pointer(app);
   app.refresh();
+  app.playing = false; // still, at the moment that everything aims at
+  arms.time = app.moment;
+  bar.said();
+  arms.draw(experiment);
   animate(app, bar);
   // read by the tests, and by whoever wants numbers in the browser's console
   Object.assign(globalThis, { workbench: { app, experiment, field, arms, METHODS, began, exports: { caption: () => caption(app), charts: () => charts(app), drives: () => drives(app), gAsCsv: () => gAsCsv(app), gAsJson: () => gAsJson(app), scenarioToml: () => scenarioToml(app), signals: () => signals(app) } } });

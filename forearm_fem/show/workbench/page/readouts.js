@@ -15,6 +15,7 @@ import { timeOf } from "./wavelet.js";
 
 /** @type {Record<Method, string>} */
 export const CLASS = { "inverse filter": "inverse", funneling: "funneling", combination: "combination" };
+const S_IS = "Signal strength: the mean motion of the target over the mean motion of the other points. Above 1 the target moves more than the others do on average.";
 const ACTUATORS = Array.from({ length: 9 }, (_, k) => `var(--a${k})`);
 
 /** @param {Method} method */
@@ -22,26 +23,33 @@ const colour = (method) => `var(--${CLASS[method]})`;
 
 /** S and scales over each arm. @param {App} app */
 export function heads(app) {
-  const { experiment, arms } = app, { settings } = experiment;
-  replace($("heads"), ...METHODS.map((method) => {
+  const { arms } = app, { settings } = app.experiment;
+  $("stage").dataset.panels = String(app.slots.length);
+  replace($("heads"), ...app.slots.map(({ key, method, experiment, title }) => {
     const o = experiment.outcome(method), range = experiment.interval(method, settings.target);
     const band = experiment.arms(method, settings.target);
-    const why = o.problem ? o.problem : range ? `${say(range[0])} to ${say(range[1])} by the errors of G` : whyUnknown(app);
+    const why = o.problem ? o.problem : range ? `${say(range[0])} to ${say(range[1])} by the errors of G` : experiment === app.experiment ? whyUnknown(app) : "";
+    const beside = nearMotor(experiment.outputs[settings.target], experiment.inputs, experiment.content.clearance) ? "not counted: under or beside a motor, with which the skin moves" : "";
     return h("div", { class: "head" },
       h("div", {},
-        h("button", { type: "button", class: CLASS[method], "aria-pressed": String(app.focus === method), onclick: () => { app.focus = method; app.rescale(); }, text: method }),
-        h("div", { class: "s", "data-method": method }, h("small", { text: "S " }), o.problem ? "–" : say(o.strength)),
-        h("div", { class: "why", text: why }),
+        h("button", { type: "button", class: CLASS[method], "aria-pressed": String(app.focus === method), onclick: () => { app.focus = method; app.rescale(); }, text: `${title}${method}` }),
+        h("div", { class: "s", "data-method": method }, whatIsS(),  o.problem ? "–" : say(o.strength)),
+        h("div", { class: "why", text: why }), beside ? h("div", { class: "why beside", text: beside }) : null,
         band ? h("div", { class: "why", "data-arms": method, text: `over arms ${say(band[0])} to ${say(band[2])}, half above ${say(band[1])}` }) : null),
-      h("div", { class: "foot", text: arms.words(method, experiment) }));
+      h("div", { class: "foot", text: arms.words(method, experiment, key) }));
   }));
+}
+
+/** The letter S, with what it is when pointed at or focused. */
+function whatIsS() {
+  return h("span", { class: "tip", tabindex: 0, "data-tip": S_IS, "aria-label": `S: ${S_IS}` }, h("small", { text: "S" }), " ");
 }
 
 /** @param {App} app */
 function whyUnknown(app) {
   const { experiment } = app, { settings } = experiment;
   if (settings.arm) return "a drawn arm: the errors of its own G are not kept";
-  if (!experiment.asRun) return whyNone(experiment.content) ? `interval unknown: ${whyNone(experiment.content)}` : "interval: being drawn …";
+  if (!experiment.asRun) return whyNone(experiment.content, experiment.errors) ? `interval unknown: ${whyNone(experiment.content, experiment.errors)}` : "interval: being drawn …";
   const rendered = experiment.content.strength.methods;
   return `interval unknown: ${rendered ? experiment.content.strength.unknown || "not rendered at this target" : "this G states none"}`;
 }
@@ -143,7 +151,7 @@ export function table(app, choose) {
     ...METHODS.map((method) => h("td", { "data-s": `${method} ${p.name}`, text: "…" }))));
   const played = app.overlay ? h("p", { class: "soft", id: "played" }) : null;
   replace($("table"),
-    h("h2", {}, "Signal strength S", h("small", { text: ` motion of the target over the mean of the other points, taken over ${over}; ${wavelet}` })),
+    h("h2", {}, h("span", { class: "tip", tabindex: 0, "data-tip": S_IS, text: "Signal strength S" }), h("small", { text: ` motion of the target over the mean of the other points, taken over ${over}; ${wavelet}` })),
     h("div", { class: "half" },
       h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, h("th", { text: "target" }), ...METHODS.map((m) => h("th", { class: CLASS[m], text: m })))), h("tbody", {}, ...rows))),
       h("div", { class: "scroll" }, drivesTable(app), played)));
@@ -167,7 +175,9 @@ function fill(app, version, row) {
     const cell = document.querySelector(`[data-s="${CSS.escape(`${method} ${outputs[row].name}`)}"]`);
     if (!cell) continue;
     const s = experiment.strength(method, row), range = experiment.interval(method, row);
-    cell.replaceChildren(say(s), ...(range ? [" ", h("small", { text: `(${say(range[0])}–${say(range[1])})` })] : []));
+    const band = experiment.arms(method, row), before = app.kept?.strength(method, row);
+    cell.replaceChildren(say(s), ...(range ? [" ", h("small", { text: `(${say(range[0])}–${say(range[1])})` })] : []), ...(band ? [" ", h("small", { text: `people ${say(band[0])}–${say(band[2])}` })] : []),
+      ...(before === undefined ? [] : [" ", h("small", { class: s > before ? "gain" : "loss", text: `kept ${say(before)}` })]));
     /** @type {HTMLElement} */ (cell).dataset.value = String(s);
   }
   setTimeout(() => fill(app, version, row + 1), 0);
@@ -217,12 +227,15 @@ function overlayOnBins(app) {
 /** Errors, in words. @param {App} app */
 export function errors(app) {
   const { experiment, field } = app, { content } = experiment;
-  const estimates = content.errors.map((/** @type {any} */ e) => h("li", {}, h("strong", { text: `${e.source} ` }), e.band === null ? "unknown" : `${say(100 * e.band)} % over the band, ${say(100 * e.worst)} % at the worst frequency`, h("span", { class: "soft", text: `: ${e.method}` })));
-  const changed = experiment.asRun ? [] : experiment.settings.arm ? ["The errors of G above are those of the run's own arm: a drawn arm's are not kept, so that its intervals of S are unknown."] : [`${experiment.places ? "Intervals of S are for the errors of G above, wherever the actuators stand." : "The errors of G above are those of the run as it was made."} ${whyNone(content) ? `Intervals of S are unknown: ${whyNone(content)}.` : "Intervals of S are drawn anew here, from 12 copies of G as the run's were; they take what was changed to err by the same shares of G."}`];
+  const { engine, error } = experiment.engine;
+  $("badge").textContent = `${experiment.inputs.length} actuators · ${experiment.points.length} points`;
+  $("engine").textContent = `Answered by ${engine}; error of G ${error === null ? "unknown" : `${say(100 * error, 2)} %`}.${experiment.places || experiment.kind === "transfer" ? "" : " Actuators can be moved on the page of a layered run (--set engine=layered) or of a library."}`;
+  const estimates = experiment.errors.map((/** @type {any} */ e) => h("li", {}, h("strong", { text: `${e.source} ` }), e.band === null ? "unknown" : `${say(100 * e.band)} % over the band, ${say(100 * e.worst)} % at the worst frequency`, h("span", { class: "soft", text: `: ${e.method}` })));
+  const changed = experiment.asRun ? [] : experiment.settings.arm ? ["The errors of G above are those of the run's own arm: a drawn arm's are not kept, so that its intervals of S are unknown."] : [`${experiment.kind === "places" || experiment.moved ? "Intervals of S are for the errors of G above, wherever the actuators stand." : "The errors of G above are those of the run as it was made."} ${whyNone(content, experiment.errors) ? `Intervals of S are unknown: ${whyNone(content, experiment.errors)}.` : "Intervals of S are drawn anew here, from 12 copies of G as the run's were; they take what was changed to err by the same shares of G."}`];
   const unseen = experiment.inputs.filter((p, k) => content.device.out_of_contact.includes(p.name) && experiment.settings.device.touching[k]).map((p) => p.name);
   if (unseen.length && field.surfaces[0].components === 3) changed.push(`The picture leaves out what ${unseen.join(", ")} moves: out of contact in the run. Numbers at the points hold it.`);
   if (content.device.housing.skin_share && !content.device.housing.fixed) changed.push("The picture leaves out what the skin follows of the housing; numbers at the points hold it.");
-  const picture = experiment.kind === "transfer" ? [] : [`The picture: ${field.words}. Its shapes leave out ${say(100 * field.error, 2)} % of the motion; numbers at the points do not come from them, those at a free place do.`];
+  const picture = experiment.kind === "transfer" ? [] : [field.anywhere ? `The picture: ${field.words}.` : `The picture: ${field.words}. Its shapes leave out ${say(100 * field.error, 2)} % of the motion; numbers at the points do not come from them, those at a free place do.`];
   const section = field.surfaces.length > 1 ? [] : ["No section: this run kept no motion inside the limb."];
   const arms = content.arms && `S over arms: the ${say(100 * content.arms.levels[0])} and ${say(100 * content.arms.levels[content.arms.levels.length - 1])} % quantiles of ${content.arms.draws} arms drawn by forearm-fem predict. It is no error of this arm's numbers, and is shown only while nothing is changed.`;
   const notes = [...changed, ...(arms ? [arms] : []), ...(experiment.kind === "transfer" ? [field.words[0].toUpperCase() + field.words.slice(1) + "."] : []), ...picture, ...section, "An interval of S holds nine in ten true values within the errors stated for G; how arms differ between people is never in it.", ...content.notes];
