@@ -25,7 +25,7 @@ from forearm_fem.device import close_loop
 from forearm_fem.engines.fem import solve_fem
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.device.place import place_ports
-from forearm_fem.questions.predict.arm import Answer, ReducedArm, arm_model, on_mesh_of
+from forearm_fem.questions.predict.arm import Answer, ReducedArm, arm_model, with_scene_geometry
 from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of
 from forearm_fem.questions.predict.outcome import Setup, setup_of
 from forearm_fem.questions.predict.run import expanded
@@ -110,7 +110,7 @@ def compared(arm: ReducedArm, setup: Setup, draw: Scenario, truth: Compliance) -
     answer = arm.answer(draw, truth.frequency)
     found = answer.compliance
     block, own = found.block("point", "contact"), truth.block("point", "contact")
-    held = arm.compliance(on_mesh_of(arm.scenario, draw), truth.frequency).block("point", "contact")
+    held = arm.compliance(with_scene_geometry(arm.scenario, draw), truth.frequency).block("point", "contact")
     g, true = (close_loop(c, draw.device) for c in (found, truth))
     others = [close_loop(c, draw.device) for c in answer.others]
     job = setup.job

@@ -1,4 +1,4 @@
-"""Rigid cones on slabs: what finite elements state and what they err by, against the twin's rigid discs.
+"""Rigid cones on slabs: what finite elements state and what they err by, against the layered model's rigid discs.
 
 Run from the repository: python3 benchmarks/cones.py [folder] [--keep FOLDER] [--accuracy 0.3 0.1] [--diameter 2 7]
 
@@ -90,7 +90,8 @@ def scene(
 
 @dataclass(frozen=True)
 class Kept:
-    """What a scene cost its time for: compliances on both meshes and with other ends, the twin's, and seconds."""
+    """What a scene cost its time for: compliances on both meshes and with other ends, the layered model's, and
+    seconds."""
 
     digest: str
     solved: Solved

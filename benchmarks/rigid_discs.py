@@ -1,4 +1,4 @@
-"""Rigid discs in the layered twin: static limits, terms, azimuthal orders of scattering, and seconds of a sweep.
+"""Rigid discs in the layered model: static limits, terms, azimuthal orders of scattering, and seconds of a sweep.
 
     python3 benchmarks/rigid_discs.py
 

@@ -1,4 +1,4 @@
-"""S with its interval against the layered twin over flat slabs: benchmarks/results/strength.csv.
+"""S with its interval against the layered model over flat slabs: benchmarks/results/strength.csv.
 
 Run from the repository: python3 benchmarks/strength.py FOLDER [SCENE ...]; G of each scene is kept in FOLDER.
 """
@@ -54,26 +54,26 @@ def scene(name: str, engine: str) -> Any:
 
 
 def pair(name: str, folder: Path) -> dict[str, Any]:
-    """G by finite elements with its errors and companions, and the twin's, kept in ``folder``."""
+    """G by finite elements with its errors and companions, and the layered model's, kept in ``folder``."""
     file = folder / f"{name.replace(' ', '_')}.pickle"
     if not file.is_file():
         found = simulate(scene(name, "fem"))
-        twin = simulate(scene(name, "layered")).transfer
-        file.write_bytes(pickle.dumps({"fine": found.transfer, "twin": twin}))
+        layered = simulate(scene(name, "layered")).transfer
+        file.write_bytes(pickle.dumps({"fine": found.transfer, "layered": layered}))
     return pickle.loads(file.read_bytes())
 
 
 def judged(name: str, folder: Path) -> tuple[list[Any], Any, Any]:
-    """A row of the table, and |log S / S twin| and half widths of every entry."""
+    """A row of the table, and |log S / S layered model| and half widths of every entry."""
     found = pair(name, folder)
-    scenario, fine, twin = scene(name, "fem"), found["fine"], found["twin"]
+    scenario, fine, layered = scene(name, "fem"), found["fine"], found["layered"]
     rendering = render_transfer(scenario, fine)
     account = account_of(scenario, fine, rendering)
-    true = np.abs(np.log(account.value / render_transfer(scenario, twin).strengths))
+    true = np.abs(np.log(account.value / render_transfer(scenario, layered).strengths))
     half = np.log(account.high / account.low) / 2
     bands = {e.source: e.band for e in fine.errors}
     row = [
-        name, bands["discretisation"], bands["truncation"], band_error(fine.values, twin.values),
+        name, bands["discretisation"], bands["truncation"], band_error(fine.values, layered.values),
         float((true <= half).mean()), float(np.median(true)), float(np.median(half)),
         float(np.median(half / true)), float((half < true / 2).sum()),
     ]  # fmt: skip

@@ -76,7 +76,7 @@ def predict(
     """S over ``draws`` arms that differ as people do.
 
     What is done is kept in ``folder``, so that a prediction goes on where it was stopped; without one in none that
-    stays. ``options`` are those of :class:`.Question`: ``seed``, ``laws``, ``held``, ``twin``.
+    stays. ``options`` are those of :class:`.Question`: ``seed``, ``laws``, ``held``, ``layered``.
     """
     from .questions.predict.run import Question
     from .questions.predict.run import predict as predict_question

@@ -88,17 +88,24 @@ def save_s(s: Strength, path: str | Path) -> None:
 
 
 def line_of_s(s: Strength) -> str:
-    """E.g. ``<Strength of 3 methods at 9 targets; inverse filter 4.33, funneling 2.43 in the mean>``."""
-    means = ", ".join(f"{m} {np.nanmean(row):.3g}" for m, row in zip(s.methods, s.value, strict=True))
-    return f"<Strength at {len(s.targets)} targets; in the mean {means}>"
+    """E.g. ``<Strength at 9 targets; in the mean inverse filter 4.33, funneling 2.43>``, of targets that count."""
+    kept = np.isfinite(s.value) if s.counted is None else np.isfinite(s.value) & s.counted
+    means = ", ".join(
+        f"{m} {row[k].mean():.3g}" if k.any() else f"{m} unknown"
+        for m, row, k in zip(s.methods, s.value, kept, strict=True)
+    )
+    lost = "" if s.counted is None or s.counted.all() else f", {np.count_nonzero(~s.counted)} beside a motor left out"
+    return f"<Strength at {len(s.targets)} targets{lost}; in the mean {means}>"
 
 
 def html_of_s(s: Strength) -> str:
     """S of every target and method with its interval."""
+    counted = np.ones(len(s.targets), bool) if s.counted is None else s.counted
     rows = [
-        (t, *(f"{s.value[m, k]:.3g} ({s.low[m, k]:.3g} to {s.high[m, k]:.3g})" for m in range(len(s.methods))))
-        for k, t in enumerate(s.targets)
-    ]
+        (t if counts else f"({t}: beside a motor)",
+         *(f"{s.value[m, k]:.3g} ({s.low[m, k]:.3g} to {s.high[m, k]:.3g})" for m in range(len(s.methods))))
+        for k, (t, counts) in enumerate(zip(s.targets, counted, strict=True))
+    ]  # fmt: skip
     return html(s.unknown or "S, and its interval by the errors stated for G", rows, ("target", *s.methods))
 
 

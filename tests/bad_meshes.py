@@ -16,7 +16,7 @@ import numpy as np
 import trimesh
 from bad_files import CORNERS, TETRA
 
-from forearm_fem.geometry.mesh.topology import boundary_faces
+from forearm_fem.geometry.mesh.tissue_mesh import boundary_faces
 
 REST = {
     "mesh": {"size_grid": 8e-3, "size_contact": 4e-3, "size_far": 12e-3, "min_quality": 0.005},

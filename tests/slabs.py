@@ -17,7 +17,7 @@ from forearm_fem.scenario import Scenario
 from forearm_fem.transfer import band_error
 from forearm_fem.typing import ComplexArray
 from forearm_fem.verification.layered import PRESET_O, miller_pursey
-from forearm_fem.verification.scenes import RADIUS, quarter_slab, slab_model, slab_response, twin_response
+from forearm_fem.verification.scenes import RADIUS, layered_truth, quarter_slab, slab_model, slab_response
 
 LAYERS_O = (("skin", 1.2e-3), ("fat", 3.0e-3))
 RADII = (0.010, 0.020, 0.0318)
@@ -76,7 +76,7 @@ def exact(slab: Slab) -> ComplexArray:
         omega, disc = np.array([2 * np.pi * slab.frequency]), Disc(0.0, 0.0, RADIUS)
         outputs = [disc, *(Disc(r, 0.0) for r in slab.radii)]
         return np.asarray(layered_compliance(PRESET_O, omega, [disc], outputs, tolerance=1e-8).values[0, :, 0])
-    return np.asarray(twin_response(slab.scenario, [slab.frequency])[0])
+    return np.asarray(layered_truth(slab.scenario, [slab.frequency])[0])
 
 
 def errors_of(found: ComplexArray, truth: ComplexArray) -> tuple[float, float]:
@@ -175,7 +175,7 @@ def effectivities(slabs: Sequence[Slab]) -> Iterator[Effectivity]:
     """Estimated against true error on meshes of each scene, the estimate from the pipeline's second mesh."""
     for slab in slabs:
         band = np.array([slab.frequency * s for s in _SPREAD])
-        truth = twin_response(slab.scenario, band.tolist())[:, 1:]
+        truth = layered_truth(slab.scenario, band.tolist())[:, 1:]
         for scale in (1.5, 1.0):
             sizes = {name: scale * getattr(slab, name) for name in ("grid", "far", "contact")}
             scenario = replace(slab, **sizes).scenario

@@ -37,7 +37,7 @@ from forearm_fem.scenario import Scenario, apply_overrides, load_scenario, parse
 from forearm_fem.scenario.device import device_of
 from forearm_fem.scenario.measurement import DaqOptions
 from forearm_fem.show.calibration import save_live
-from forearm_fem.show.report import _twin, thesis_fit
+from forearm_fem.show.report import _layered, thesis_fit
 from forearm_fem.study.plan import load_study
 from forearm_fem.transfer import TransferMatrix
 
@@ -224,12 +224,12 @@ def test_a_point_under_the_cone_is_in_no_wave_fit_of_a_report() -> None:
     assert fit.attenuation == pytest.approx(50.0)
 
 
-def test_the_twin_beside_a_report_has_the_same_gains() -> None:
+def test_the_layered_model_beside_a_report_has_the_same_gains() -> None:
     scene = {"engine": "layered", "limb": {"shape": "slab"}, "sweep": {"frequencies": [100.0]},
              "device": {"contacts": [[0.0, 0.0]], "drive": "force", "gains": {"A1": 0.5}},
              "grid": {"points": [[0.015, 0.0], [0.02, 0.0]]}, "rendering": {"methods": []}}  # fmt: skip
     scenario = parse_scenario(scene)
-    assert "0.0000" in _twin(scenario, simulate(scenario).transfer).rows[-1]
+    assert "0.0000" in _layered(scenario, simulate(scenario).transfer).rows[-1]
 
 
 def test_an_error_that_nobody_asked_for_is_unknown_not_zero() -> None:

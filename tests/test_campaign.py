@@ -154,7 +154,7 @@ def test_one_failed_member_does_not_lose_the_rest(tmp_path: Path, here: Here) ->
     result = start(made(tmp_path, members))
     fine, failed = result.members
     assert fine.problem == ""
-    assert fine.numbers["e_band"] < 1e-3  # the twin of rigid cones states its series and its interpolation
+    assert fine.numbers["e_band"] < 1e-3  # the layered model of rigid cones states its series and its interpolation
     assert "needs layers" in failed.problem
     assert (tmp_path / "out/fine/transfer.nc").is_file()
     assert not (tmp_path / "out/no-layers").exists()

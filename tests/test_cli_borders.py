@@ -215,7 +215,6 @@ def test_what_is_of_another_kind_is_called_by_its_name(lab: Path, line: Any, sai
     "line",
     [
         ("workbench", ".", "--save", "small.toml"),
-        ("validate", "small.toml", "--page", "small.toml"),
         ("library", "small.toml", "--out", "small.toml"),
         ("daq", "loopback", "small.toml", "--out", "small.toml"),
     ],

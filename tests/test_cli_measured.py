@@ -1,4 +1,4 @@
-"""calibrate, play, compare and fit through the command line, on the layered twin and the virtual DAQ."""
+"""calibrate, play, compare and fit through the command line, on the layered model and the virtual DAQ."""
 
 from __future__ import annotations
 

@@ -329,12 +329,21 @@ def test_the_place_and_the_band_of_a_difference_are_found():
     ("gain", "said"),
     [
         (0.8 * np.ones((9, 4)), "one gain explains most: B times 1.25"),
-        (np.array([1, 1, 0.5, 1]) * np.ones((9, 1)), "a gain of each actuator explains most: B's A1 times 1, A2"),
-        (np.array([[1], [1.6], *[[1]] * 7]) * np.ones(4), "a gain of each point explains most"),
+        (np.array([1, 1, 0.5, 1]) * np.ones((9, 1)), "a gain of each actuator explains most: B's A3 times 2, the"),
+        (np.array([[1], [1.6], *[[1]] * 7]) * np.ones(4), "a gain of each point explains most: B's 2 times 0.625, the"),
     ],
 )
 def test_a_gain_that_explains_the_difference_is_the_likeliest_cause(gain, said):
     assert where(common_ground(A, replace(A, values=A.values * gain))).cause.startswith(said)
+
+
+def test_scenarios_that_differ_are_the_likeliest_cause():
+    """ "One gain explains most; check calibration" was said of two simulations of different limbs."""
+    limbs = {"limb": {"shape": "slab", "length": 0.2}, "name": "a"}, {"limb": {"shape": "forearm"}, "name": "b"}
+    ours, theirs = (replace(A, provenance={"scenario": s}) for s in limbs)
+    cause = where(common_ground(ours, replace(theirs, values=0.8 * A.values))).cause
+    assert cause == "the two were simulated by scenarios that differ in limb.shape"
+    assert where(common_ground(ours, replace(ours, values=0.8 * A.values))).cause.startswith("one gain")
 
 
 def test_one_bad_actuator_is_the_likeliest_cause():

@@ -16,7 +16,7 @@ from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.geometry.device.layout import planform_ports
 from forearm_fem.ports import Port, distances
 from forearm_fem.questions.compare.fit import fit
-from forearm_fem.questions.compare.parameters import Parameter, ScenarioModel, TwinBetween, common_parameters
+from forearm_fem.questions.compare.parameters import LayeredBetween, Parameter, ScenarioModel, common_parameters
 from forearm_fem.questions.compare.run import _unmeasured, all_inputs, fit_text, run_fit
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.transfer import TransferMatrix
@@ -195,18 +195,18 @@ def test_impossible_fits_are_refused():
 
 
 SCENARIO = parse_scenario({"device": {"housing": {"fixed": True}}})
-TWIN_F = np.array([60.0, 120.0, 180.0, 250.0, 330.0, 420.0])
+LAYERED_F = np.array([60.0, 120.0, 180.0, 250.0, 330.0, 420.0])
 
 
-def twin(**values):
-    skin = TwinBetween(OUTPUTS, INPUTS, tolerance=1e-5)
-    return ScenarioModel(SCENARIO, skin, TWIN_F)(values)
+def layered(**values):
+    skin = LayeredBetween(OUTPUTS, INPUTS, tolerance=1e-5)
+    return ScenarioModel(SCENARIO, skin, LAYERED_F)(values)
 
 
-def test_layered_twin_recovers_skin_and_coil_parameters(tmp_path):
-    """Actuator and tissue parameters from a noisy G of the twin (40 dB), in tissue keys of the scenario."""
+def test_layered_model_recovers_skin_and_coil_parameters(tmp_path):
+    """Actuator and tissue parameters from a noisy G of the layered model (40 dB), in tissue keys of the scenario."""
     true = {"tissues.override.skin.mu": 18e3, "device.coil.moving_mass": 0.5e-3}
-    truth = twin(**true)
+    truth = layered(**true)
     sigma = 0.01 * np.sqrt(np.mean(np.abs(truth.values) ** 2))
     rng = np.random.default_rng(11)
     noise = (
@@ -214,7 +214,7 @@ def test_layered_twin_recovers_skin_and_coil_parameters(tmp_path):
     )
     data = replace(truth, values=truth.values + noise, deviation=np.full(truth.values.shape, sigma), contacts=None)
     result = run_fit(SCENARIO, data, ["scale", "skin.mu", "coil.moving_mass"], folder=tmp_path)
-    assert not result.numerics  # the twin's own error counts for nothing beside this noise
+    assert not result.numerics  # the layered model's own error counts for nothing beside this noise
     for name, value in true.items():
         low, high = result.fit.interval[name]
         assert low < value < high
@@ -224,7 +224,7 @@ def test_layered_twin_recovers_skin_and_coil_parameters(tmp_path):
 
 def test_data_of_arbitrary_gain_are_fitted_with_a_scale_of_any_size():
     """A scale between a fifth and five times cannot undo a gain of 3,000: the tissues would have to."""
-    truth = twin(**{"tissues.override.skin.mu": 18e3})
+    truth = layered(**{"tissues.override.skin.mu": 18e3})
     data = replace(truth, values=3e3 * truth.values, contacts=None, provenance={"gain": "arbitrary"})
     with pytest.raises(DataError, match="name `scale` among the parameters"):
         run_fit(SCENARIO, data, ["skin.mu"])
@@ -234,8 +234,8 @@ def test_data_of_arbitrary_gain_are_fitted_with_a_scale_of_any_size():
 
 
 def test_cones_that_stand_close_are_fitted_with_the_waves_that_they_scatter():
-    """A fit's own twin took one azimuthal order whatever the distances: 3 % of G beside cones 9 mm apart, and moduli
-    that were wrong by ten times their intervals."""
+    """A fit's own layered model took one azimuthal order whatever the distances: 3 % of G beside cones 9 mm apart, and
+    moduli that were wrong by ten times their intervals."""
     scenario = parse_scenario({
         "engine": "layered",
         "device": {"drive": "force", "contacts": [(-0.0042, 0.0), (0.0042, 0.0)]},
@@ -247,17 +247,17 @@ def test_cones_that_stand_close_are_fitted_with_the_waves_that_they_scatter():
     start = scenario.model_copy(update={"tissues": Scenario().tissues})
     answer = run_fit(start, data, ["scale", "muscle.mu"])
     found = answer.fit
-    assert "series and quadrature of the fit's twin err by an e_band" in answer.numerics  # data without noise
+    assert "series and quadrature of the fit's layered model err by an e_band" in answer.numerics  # data without noise
     assert found.values["scale"] == pytest.approx(1.0, rel=1e-3)
     assert found.values["tissues.override.muscle.mu"] == pytest.approx(14e3, rel=2e-3)
     assert found.e_band < 2e-3
 
 
-def test_layered_twin_says_that_coil_and_cone_mass_are_one_number():
-    data = replace(twin(), contacts=None)
+def test_layered_model_says_that_coil_and_cone_mass_are_one_number():
+    data = replace(layered(), contacts=None)
     sigma = 0.01 * np.sqrt(np.mean(np.abs(data.values) ** 2))
     data = replace(data, deviation=np.full(data.values.shape, sigma))
-    model_of = ScenarioModel(SCENARIO, TwinBetween(OUTPUTS, INPUTS), TWIN_F)
+    model_of = ScenarioModel(SCENARIO, LayeredBetween(OUTPUTS, INPUTS), LAYERED_F)
     resonance_free = [
         p for p in common_parameters(SCENARIO, ["coil.moving_mass", "cone.mass", "coil.resonance", "coil.quality"])
     ]
@@ -270,7 +270,7 @@ def test_scenario_keys_are_checked():
     with pytest.raises(ScenarioError, match="known are"):
         common_parameters(SCENARIO, ["skin.colour"])
     with pytest.raises(ScenarioError, match="unknown key"):
-        ScenarioModel(SCENARIO, None, TWIN_F)({"device.coil.colour": 1.0})
+        ScenarioModel(SCENARIO, None, LAYERED_F)({"device.coil.colour": 1.0})
     assert wave_matrix().unit == "m/V"
 
 

@@ -14,7 +14,7 @@ from test_measurement_scene import INPUTS, OUTPUTS, part, wave_matrix
 from forearm_fem.errors import DataError
 from forearm_fem.metrics.common_ground import common_ground
 from forearm_fem.questions.compare.compare import compare, comparison_record
-from forearm_fem.questions.compare.parameters import ScenarioModel, TwinBetween
+from forearm_fem.questions.compare.parameters import LayeredBetween, ScenarioModel
 from forearm_fem.questions.compare.readings import best_reading, exchanged, explained
 from forearm_fem.questions.compare.report import as_markdown
 from forearm_fem.questions.compare.run import run_compare, run_fit
@@ -37,8 +37,8 @@ LIMBS = {
 
 @cache
 def limb(name):
-    """The layered twin of a limb."""
-    g = ScenarioModel(SCENARIO, TwinBetween(OUTPUTS, INPUTS, tolerance=1e-4), F)(LIMBS[name])
+    """The layered model of a limb."""
+    g = ScenarioModel(SCENARIO, LayeredBetween(OUTPUTS, INPUTS, tolerance=1e-4), F)(LIMBS[name])
     return replace(g, contacts=None, errors=())
 
 
@@ -241,7 +241,7 @@ FIXED = parse_scenario({"device": {"housing": {"fixed": True}}})
 
 @cache
 def measured():
-    g = ScenarioModel(FIXED, TwinBetween(OUTPUTS, INPUTS), FIT_F)({"tissues.override.skin.mu": 3e4})
+    g = ScenarioModel(FIXED, LayeredBetween(OUTPUTS, INPUTS), FIT_F)({"tissues.override.skin.mu": 3e4})
     return noisy(replace(g, contacts=None, errors=()))
 
 

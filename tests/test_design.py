@@ -1,4 +1,4 @@
-"""Designs: the search, its memory, constraints, and the twin from tables that candidates are evaluated on."""
+"""Designs: the search, its memory, constraints, and the layered model from tables that candidates are evaluated on."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from forearm_fem.layered import Disc, Layer, layered_compliance
 from forearm_fem.layered import tables as tabulated
 from forearm_fem.layered.tables import tabulate
 from forearm_fem.ports import distances
-from forearm_fem.questions.design import Candidate, TwinArm, evaluate, load_design, pareto_front, run_design
+from forearm_fem.questions.design import Candidate, TabulatedArm, evaluate, load_design, pareto_front, run_design
 from forearm_fem.questions.design import candidate as candidates
 from forearm_fem.questions.design.candidate import score_of
 from forearm_fem.questions.design.model import Objective
@@ -287,7 +287,7 @@ def tables(contact):
 
 
 @pytest.mark.parametrize("contact", ["pressure", "bonded"])
-def test_the_tabulated_twin_is_the_twin_within_its_statement(contact):
+def test_the_tabulated_layered_model_is_the_layered_model_within_its_statement(contact):
     """Two discs and three points that the table's own check has not seen, in no symmetry."""
     made = tables(contact)
     discs = [Disc(0.001, -0.002, 0.0035, contact), Disc(0.0105, 0.0043, 0.0035, contact)]
@@ -331,10 +331,10 @@ def test_what_series_lack_between_judged_nodes_is_stated(monkeypatch):
 
 def test_s_of_a_candidate_is_that_of_a_full_run_and_tables_are_read_back(tmp_path):
     asked = design(tmp_path, SPACING + QUICK)
-    first = evaluate(asked, {"device.spacing": 0.041}, TwinArm(tmp_path / "tables"))
+    first = evaluate(asked, {"device.spacing": 0.041}, TabulatedArm(tmp_path / "tables"))
     (file,) = (tmp_path / "tables").glob("*.sqlite")
     stamp = file.stat().st_mtime_ns
-    assert evaluate(asked, {"device.spacing": 0.041}, TwinArm(tmp_path / "tables")) == first
+    assert evaluate(asked, {"device.spacing": 0.041}, TabulatedArm(tmp_path / "tables")) == first
     assert file.stat().st_mtime_ns == stamp
     s = render(simulate(asked.scenarios({"device.spacing": 0.041})[0])).strengths[0]
     # G is good to its stated 1e-4, and drives divide by far entries that are a hundred times smaller

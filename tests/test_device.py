@@ -12,10 +12,10 @@ from forearm_fem.device import (
     coil_current,
     contact_state,
     driving_point_impedance,
-    power,
     propagate_errors,
     respond,
 )
+from forearm_fem.device import response as power
 from forearm_fem.device.response import lever_matrix
 from forearm_fem.errors import ScenarioError
 from forearm_fem.ports import Port

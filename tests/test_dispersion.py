@@ -120,7 +120,8 @@ def test_slabs_are_of_third_order_where_a_point_is_beside_a_disc_of_pressure(rad
 
 @pytest.mark.slow  # a slab of 60,000 unknowns; which notes and which order such points get is tested above
 def test_points_beside_a_disc_of_pressure_state_half_their_error_at_least():
-    """6 mm from a disc on skin and fat, against the twin: of second order .28 to .5 of a G off by .12 were stated."""
+    """6 mm from a disc on skin and fat, against the layered model: of second order .28 to .5 of a G off by .12 were
+    stated."""
     frequency = [220.0, 320.0, 460.0]
     layers = [{"tissue": "skin", "thickness": 1.2e-3}, {"tissue": "fat", "thickness": 3e-3}]
     scenes = [
@@ -140,12 +141,12 @@ def test_points_beside_a_disc_of_pressure_state_half_their_error_at_least():
         )
         for engine in ("fem", "layered")
     ]  # fmt: skip
-    fine, twin = (simulate(s).transfer for s in scenes)
+    fine, layered = (simulate(s).transfer for s in scenes)
     stated = np.sqrt(sum(relative_error_at(e, fine.frequency) ** 2 for e in fine.errors))
     assert scenes[0].element == "P2/P3"
-    assert band_error(fine.values, twin.values) < 0.05
-    assert (stated > relative_error(fine.values, twin.values) / 2).all()
-    assert total_error(fine.errors) < 5 * band_error(fine.values, twin.values)
+    assert band_error(fine.values, layered.values) < 0.05
+    assert (stated > relative_error(fine.values, layered.values) / 2).all()
+    assert total_error(fine.errors) < 5 * band_error(fine.values, layered.values)
 
 
 def test_the_lag_falls_with_the_fourth_power_of_the_size_of_second_order_elements():

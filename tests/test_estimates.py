@@ -227,7 +227,7 @@ def test_columns_under_a_narrow_cone_are_no_needles():
 
 
 def test_truncation_counts_half_the_change_of_freed_ends():
-    """The share that bounds what longer limbs and the endless twin showed."""
+    """The share that bounds what longer limbs and the endless layered model showed."""
     scenario = parse_scenario(SLAB)
     ports = simulate(scenario.model_copy(update={"engine": "layered"})).compliance.ports
     frequency = np.array([100.0, 150.0])
@@ -346,8 +346,8 @@ def test_truncation_is_relative_to_what_lies_between_where_ends_make_most_of_g()
 
 @pytest.mark.parametrize(("ends", "depth"), [("free", 0.012), ("fixed", 0.02)])
 def test_ends_that_do_not_absorb_err_by_half_of_what_the_opposite_ones_change(cold, ends, depth):
-    """Against the endless twin at 100 Hz, where this slab is shorter than the waves. Half the change to absorbing ends
-    stated a third of it: these reflect themselves."""
+    """Against the endless layered model at 100 Hz, where this slab is shorter than the waves. Half the change to
+    absorbing ends stated a third of it: these reflect themselves."""
     slab = {**SLAB, "limb": {**SLAB["limb"], "depth": depth}, "supports": {"ends": ends}}
     transfer = simulate(parse_scenario(slab)).transfer
     exact = simulate(parse_scenario({**slab, "engine": "layered"})).transfer

@@ -14,8 +14,7 @@ from forearm_fem.fem.assembly import tissues as assembly
 from forearm_fem.fem.assembly.tissues import TissueMatrices, constrained_matrices, reference_tensors, tissue_matrices
 from forearm_fem.fem.space.numbering import mixed_space
 from forearm_fem.fem.space.orders import graded_orders, uniform_orders
-from forearm_fem.geometry.mesh.tissue_mesh import Bends, true_volumes
-from forearm_fem.geometry.mesh.topology import EDGES, keys
+from forearm_fem.geometry.mesh.tissue_mesh import EDGES, Bends, keys, true_volumes
 from forearm_fem.verification.blocks import block_mesh
 from forearm_fem.verification.closed import sphere_errors
 

@@ -14,7 +14,7 @@ from forearm_fem.fem.assembly.coefficients import rate_weights
 from forearm_fem.fem.assembly.operator import WeightedSum
 from forearm_fem.fem.linear import factor as factors
 from forearm_fem.fem.linear.direct import make_solver
-from forearm_fem.fem.linear.factor import CautiousFactor, make_factor, nested_dissection, refined_solve
+from forearm_fem.fem.linear.factor import FallbackFactor, make_factor, nested_dissection, refined_solve
 from forearm_fem.fem.linear.multifrontal import blas, panels
 from forearm_fem.fem.linear.multifrontal.factor import MultifrontalFactor, passing_store, scales
 from forearm_fem.fem.linear.multifrontal.fronts import divided
@@ -270,7 +270,7 @@ def test_nothing_is_solved_before_factorising_or_after_release(upper):
 def test_the_sweep_takes_it_and_pardiso_comes_after_it(model, monkeypatch, caplog):
     """Factors that lose half of each solution: first PARDISO with matching, whose solutions are right."""
     solver = make_solver(model, ReducedSolve(), 100.0)
-    assert isinstance(solver.factor, CautiousFactor)
+    assert isinstance(solver.factor, FallbackFactor)
     good = solver.compliance(solver.at(100.0))
     assert isinstance(solver.factor.now, MultifrontalFactor)
     right = MultifrontalFactor.solve
@@ -287,7 +287,7 @@ def test_chosen_for_large_systems_in_single_precision(model, monkeypatch):
     def kind(backend="auto", **how):
         return type(make_factor(model.operator, OMEGA, backend, **how)).__name__
 
-    assert kind(single=True, matching=False) == kind("multifrontal", single=True, matching=False) == "CautiousFactor"
+    assert kind(single=True, matching=False) == kind("multifrontal", single=True, matching=False) == "FallbackFactor"
     if mkl_library() is not None:
         assert kind(single=True) == kind(single=False) == "PardisoFactor"
         assert kind("pardiso", single=True, matching=False) == "PardisoFactor"
@@ -303,10 +303,10 @@ def test_without_mkl_there_is_nothing_after_it(model, monkeypatch):
     monkeypatch.setattr(factors.pardiso, "mkl_library", lambda: None)
     assert factors.available_backends() == ("multifrontal", "superlu")
     solver = make_factor(model.operator, OMEGA, "auto", single=True, matching=False)
-    assert isinstance(solver, CautiousFactor)
+    assert isinstance(solver, FallbackFactor)
     assert not solver.harden()
     small = make_factor(held_block(1, tissue=flesh(bulk=2.2e9)).operator, OMEGA, "auto", single=True, matching=False)
-    assert isinstance(small, CautiousFactor)
+    assert isinstance(small, FallbackFactor)
 
 
 def test_products_are_openblas_own_or_those_of_scipy(monkeypatch):

@@ -174,7 +174,7 @@ def test_the_traced_root_of_a_half_space_is_rayleighs() -> None:
 
 
 def test_the_root_of_a_loaded_skin_is_that_of_layers_and_sheet() -> None:
-    """A sheet of mass m on one tissue: (mu p r - m w^2)(mu q r - m w^2) = (mu k d)^2, docs/theory/twin.md."""
+    """A sheet of mass m on one tissue: (mu p r - m w^2)(mu q r - m w^2) = (mu k d)^2, docs/theory/layered_model.md."""
     muscle = {"layers": [{"tissue": "muscle", "thickness": 0.01}], "core": "muscle"}
     scene = Scenario.model_validate(
         {"name": "loaded", "limb": {"shape": "slab", **muscle}, "tissues": {"membrane": {"mass": 0.5}}}

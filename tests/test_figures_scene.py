@@ -1,4 +1,4 @@
-"""A small synthetic run for the tests of figures and report: layered twin, coarse block, a field that equals G."""
+"""A small synthetic run for the tests of figures and report: layered model, coarse block, a field that equals G."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def write_run(place: Path) -> None:
     """Everything that a run leaves behind."""
     scenario = parse_scenario(SCENE)
     mesh = build_mesh(scenario)
-    compliance, radial = twin(scenario, mesh)
+    compliance, radial = layered(scenario, mesh)
     transfer = close_loop(compliance, scenario.device)
     write_mesh(mesh, place / "mesh.vtu")
     write_transfer(place / "transfer.nc", transfer, compliance)
@@ -70,8 +70,8 @@ def write_run(place: Path) -> None:
     (place / "run.json").write_text(json.dumps(account))
 
 
-def twin(scenario: Scenario, mesh: TissueMesh) -> tuple[Compliance, np.ndarray]:
-    """The layered twin between the ports, and the field of one contact over the radius."""
+def layered(scenario: Scenario, mesh: TissueMesh) -> tuple[Compliance, np.ndarray]:
+    """The layered model between the ports, and the field of one contact over the radius."""
     ports = place_ports(scenario, mesh)
     f = np.arange(2, 81) * 5.0
     discs = [Disc(p.position[0], p.position[1], p.radius if p.kind == "contact" else 0.0) for p in ports]

@@ -26,7 +26,7 @@ from forearm_fem.show.film import (
     standing,
     wavefield,
 )
-from forearm_fem.show.motion import View, motion, nice
+from forearm_fem.show.motion import View, motion, round_down_125
 from forearm_fem.show.scene import plotter_for
 
 pytestmark = pytest.mark.drawn
@@ -86,7 +86,7 @@ def test_the_drawn_amplification_is_honest(run: Results) -> None:
     most = max(np.linalg.norm(moved.displacement(skin.modes, k), axis=1).max() for k in range(len(moved.steps)))
     assert 1.5e-3 < factor * most < 5.5e-3  # metres on the picture
     assert amplification(moved, skin, Look(amplification=7.0)) == 7.0
-    assert [nice(v) for v in (1.0, 1.9, 4.99, 5.0, 730.0)] == [1, 1, 2, 5, 500]
+    assert [round_down_125(v) for v in (1.0, 1.9, 4.99, 5.0, 730.0)] == [1, 1, 2, 5, 500]
 
 
 @pytest.mark.parametrize(

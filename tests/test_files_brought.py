@@ -18,8 +18,7 @@ from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.device.layout import layout_of
 from forearm_fem.geometry.mesh import tissue_mesh as nearby
 from forearm_fem.geometry.mesh.quality import check_mesh, mesh_quality
-from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh, meeting
-from forearm_fem.geometry.mesh.topology import boundary_faces
+from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh, boundary_faces, meeting
 from forearm_fem.geometry.user import checks as crossing
 from forearm_fem.geometry.user import surfaces
 from forearm_fem.geometry.user import volume as tetwild

@@ -12,11 +12,16 @@ from hypothesis import strategies as st
 from forearm_fem.geometry import cache
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.cache import cached_mesh
-from forearm_fem.geometry.limb import bending
-from forearm_fem.geometry.limb.bending import bent, with_bends
-from forearm_fem.geometry.limb.tube import tube_of
-from forearm_fem.geometry.mesh.tissue_mesh import Bends, bent_jacobians, bent_places, straight_jacobians, true_volumes
-from forearm_fem.geometry.mesh.topology import EDGES
+from forearm_fem.geometry.limb import tube as bending
+from forearm_fem.geometry.limb.tube import bent, tube_of, with_bends
+from forearm_fem.geometry.mesh.tissue_mesh import (
+    EDGES,
+    Bends,
+    bent_jacobians,
+    bent_places,
+    straight_jacobians,
+    true_volumes,
+)
 from forearm_fem.scenario import parse_scenario
 
 COARSE = {"size_grid": 5e-3, "size_contact": 3e-3, "size_far": 12e-3}

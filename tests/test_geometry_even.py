@@ -16,8 +16,7 @@ from forearm_fem.geometry.limb.core import Chart, _bone_wall, _check_tubes, spre
 from forearm_fem.geometry.limb.filling import Shell, fill, oriented, stack_prisms, without_slivers
 from forearm_fem.geometry.limb.tube import tube_of
 from forearm_fem.geometry.mesh.quality import check_mesh
-from forearm_fem.geometry.mesh.tissue_mesh import true_volumes
-from forearm_fem.geometry.mesh.topology import boundary_faces, mean_ratios
+from forearm_fem.geometry.mesh.tissue_mesh import boundary_faces, mean_ratios, true_volumes
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 
 ROOT = Path(__file__).parents[1]

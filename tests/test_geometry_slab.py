@@ -13,7 +13,7 @@ from forearm_fem.geometry.device.place import facet_area, from_axis, place_ports
 from forearm_fem.geometry.device.sizing import SECOND, element_sizes
 from forearm_fem.geometry.mesh.quality import check_mesh, mean_ratio, mesh_quality, nodes_per_wavelength
 from forearm_fem.geometry.mesh.refinement import onto_circle, refine, refine_rims, rim_edges
-from forearm_fem.geometry.mesh.topology import FACES, keys
+from forearm_fem.geometry.mesh.tissue_mesh import FACES, keys
 from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
 
@@ -342,7 +342,7 @@ def test_a_hanging_vertex_is_found(quarter):
     tets[t] = np.where(tets[t] == b, new, tets[t])
     tets[-1] = np.where(tets[-1] == a, new, tets[-1])
     points = np.vstack([m.points, m.points[[a, b]].mean(axis=0)])
-    from forearm_fem.geometry.mesh.topology import boundary_faces
+    from forearm_fem.geometry.mesh.tissue_mesh import boundary_faces
 
     faces, _ = boundary_faces(tets)
     hung = _with(m, points=points, tetrahedra=tets, region=np.append(m.region, m.region[t]), facets={"skin": faces})

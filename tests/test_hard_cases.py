@@ -30,10 +30,10 @@ from forearm_fem.verification.scenes import (
     RADIUS,
     flesh,
     held_block,
+    layered_truth,
     quarter_slab,
     slab_model,
     slab_response,
-    twin_response,
 )
 
 COARSE = {"size_grid": 3e-3, "size_contact": 1.2e-3, "size_far": 9e-3}
@@ -44,7 +44,7 @@ def gap(found: ComplexArray, truth: ComplexArray) -> float:
 
 
 def slab_gap(scenario: Scenario, frequency: float) -> float:
-    return gap(slab_response(slab_model(scenario), [frequency])[0], twin_response(scenario, [frequency])[0])
+    return gap(slab_response(slab_model(scenario), [frequency])[0], layered_truth(scenario, [frequency])[0])
 
 
 # --- materials -------------------------------------------------------------------------------------------------------

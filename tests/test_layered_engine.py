@@ -131,8 +131,8 @@ def test_two_discs_in_finite_elements():
         "rendering": {"targets": ["1"]},
         "sweep": {"frequencies": [400.0]},
     }  # fmt: skip
-    fe, twin = (simulate(parse_scenario(scene(engine=engine, **changes))) for engine in ("fem", "layered"))
-    found, truth = (run.compliance.values[:, :, :2] for run in (fe, twin))
+    fe, layered = (simulate(parse_scenario(scene(engine=engine, **changes))) for engine in ("fem", "layered"))
+    found, truth = (run.compliance.values[:, :, :2] for run in (fe, layered))
     assert relative_error(found, truth)[0] < 0.01
     between = found[0, 2, 0] / truth[0, 2, 0] - 1  # the point between the discs, whose waves meet there
     assert abs(between) < 0.02

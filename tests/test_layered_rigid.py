@@ -1,4 +1,4 @@
-"""Rigid discs in the layered twin: static limits, an independent model, convergence, reciprocity, passivity."""
+"""Rigid discs in the layered model: static limits, an independent model, convergence, reciprocity, passivity."""
 
 import itertools
 import math

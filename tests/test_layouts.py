@@ -22,7 +22,7 @@ from forearm_fem.show.facts import scene_block
 from forearm_fem.show.registry import applies, kinds
 
 PRESSURE = {"cone": {"contact": "pressure"}}
-TWIN: dict[str, Any] = {
+LAYERED: dict[str, Any] = {
     "engine": "layered",
     "sweep": {"f_min": 100.0, "f_max": 400.0, "duration": 0.05, "sample_rate": 2000.0},
     "rendering": {"window": [-0.01, 0.01]},
@@ -118,7 +118,7 @@ def test_targets_beside_a_line_or_a_triangle_are_told():
 
 def test_a_symmetric_layout_has_symmetric_strengths():
     """Mirrored in x and in y: a hexagon with a middle on a 3x3 grid, by all three methods."""
-    scenario = parse_scenario({**TWIN, "device": {**HEXAGON, **PRESSURE}})
+    scenario = parse_scenario({**LAYERED, "device": {**HEXAGON, **PRESSURE}})
     found = render(simulate(scenario))
     assert found.methods == ("inverse filter", "funneling", "combination")
     s = found.strengths.reshape(3, 3, 3)
@@ -137,8 +137,8 @@ def test_a_symmetric_layout_has_symmetric_strengths():
     ids=["one", "line", "free"],
 )
 def test_any_layout_renders_and_draws(device, grid, left_out, tmp_path):
-    aims = {**TWIN["rendering"], "targets": ["1"]}
-    scenario = parse_scenario({**TWIN, "rendering": aims, "device": {**device, **PRESSURE}, "grid": grid})
+    aims = {**LAYERED["rendering"], "targets": ["1"]}
+    scenario = parse_scenario({**LAYERED, "rendering": aims, "device": {**device, **PRESSURE}, "grid": grid})
     run = Run.start(scenario, tmp_path, Path())
     rendering = run_render(run)
     assert set(rendering.methods) == {"inverse filter", "funneling", "combination"} - set(left_out)

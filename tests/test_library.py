@@ -1,4 +1,5 @@
-"""The arm's library: flat skin, bells, what lies between them, tables of the twin, answers against direct solves."""
+"""The arm's library: flat skin, bells, what lies between them, tables of the layered model, answers against direct
+solves."""
 
 import json
 from dataclasses import replace
@@ -16,9 +17,9 @@ from forearm_fem.engines.layered import flat_layers
 from forearm_fem.engines.library import is_library, load_library, make, make_library, save_library, side
 from forearm_fem.engines.library.arm import _Asked, _Part, library_skin
 from forearm_fem.engines.library.between import Lattice, Prior, Shape, shape_of
-from forearm_fem.engines.library.limb import deviation_held, held
+from forearm_fem.engines.library.limb import constrained_compliance, deviation_held
 from forearm_fem.engines.library.loads import (
-    Bells,
+    GaussianLoads,
     bell_functionals,
     between_flat_bells,
     flat_compliance,
@@ -138,7 +139,7 @@ def test_bells_read_the_mean_of_what_they_cover(element):
     skin = library_skin(slab)
     meshed = meshed_scenario(slab, skin)
     model = fem_model(meshed, cached_mesh(meshed))
-    bells = Bells(np.array([[0.001, 0.002], [-0.006, 0.003]]), np.array([[0.0, 0, 1], [0, 0, 1]]), 0.002)
+    bells = GaussianLoads(np.array([[0.001, 0.002], [-0.006, 0.003]]), np.array([[0.0, 0, 1], [0, 0, 1]]), 0.002)
     seen = bell_functionals(model, skin, bells)
     up = np.zeros((model.space.n_nodes, 3))
     up[:, 2] = 1.0
@@ -179,12 +180,13 @@ def test_the_limb_is_summed_alike_for_one_frequency_and_for_many(library):
 
 
 def test_between_its_loads_it_states_what_interpolation_costs(slab, library):
-    """Bells at places that the library has not seen, on its own mesh, along the normal and along both tangents."""
+    """GaussianLoads at places that the library has not seen, on its own mesh, along the normal and along both
+    tangents."""
     places = np.array([[0.0025, 0.0021], [-0.0049, -0.0018]])
     skin, meshed, n, s = library.skin, meshed_scenario(slab, library.skin), len(library.centres), len(library.sideways)
     model = fem_model(meshed, cached_mesh(meshed))
     axes = np.concatenate([skin.places(places)[1], *skin.tangents(places)])
-    seen = bell_functionals(model, skin, Bells(np.tile(places, (3, 1)), axes, library.width)).toarray()
+    seen = bell_functionals(model, skin, GaussianLoads(np.tile(places, (3, 1)), axes, library.width)).toarray()
     witness = replace(model, functionals=seen, shares=np.ones(6))
     node = library.bands.nodes.shape[1] // 2
     at = library.bands.nodes[-1, node]
@@ -197,29 +199,31 @@ def test_between_its_loads_it_states_what_interpolation_costs(slab, library):
     limb = weights.T @ library.fine.between(np.array([at]), np.eye(n + 2 * s))[0] @ weights
     apart = pair_distances(places)
     integrals = between_flat_bells(medium(slab), np.array([at]), library.width, apart, sideways=True)[0]
-    twin = flat_compliance(integrals, apart, places, places)
-    found = limb - weights.T @ library._flat_bells[-1, node] @ weights + twin
+    layered = flat_compliance(integrals, apart, places, places)
+    found = limb - weights.T @ library._flat_bells[-1, node] @ weights + layered
     off = np.abs(found - truth)
-    part = _Part(len(library.bands.edges) - 2, np.ones(1, dtype=bool), weights, twin[None], np.hstack([z, t, t]))
+    part = _Part(len(library.bands.edges) - 2, np.ones(1, dtype=bool), weights, layered[None], np.hstack([z, t, t]))
     ports = library.ports(slab)[:2]
     asked = _Asked(ports, np.array([at]), places, np.array([0, 1] * 3), np.array([0, 0, 1, 1, 1, 1]), None, (part,))
     stated = library._deviation(part, asked)
     assert (off < 3 * stated + 0.02 * np.abs(truth).max()).all()
     assert off.max() < 0.05 * np.abs(truth).max()
-    held_truth, hold = held(truth[None], 2)  # both held sideways, as bonded discs are
+    held_truth, hold = constrained_compliance(truth[None], 2)  # both held sideways, as bonded discs are
     deviation = deviation_held(stated[None], hold)[0]
-    assert (np.abs(held(found[None], 2)[0] - held_truth)[0] < 3 * deviation + 0.02 * np.abs(truth).max()).all()
+    assert (
+        np.abs(constrained_compliance(found[None], 2)[0] - held_truth)[0] < 3 * deviation + 0.02 * np.abs(truth).max()
+    ).all()
     assert np.abs(held_truth - truth[:2, :2]).max() > 1e-3 * np.abs(truth).max()  # so holding does count
 
 
-def test_bells_of_a_slab_push_and_read_as_their_twins_in_every_direction(library):
+def test_bells_of_a_slab_push_and_read_as_their_layered_models_in_every_direction(library):
     """Along the normal, u and v: signs and angles of what couples them, by finite elements of the slab."""
     n, s, node = len(library.centres), len(library.sideways), library.bands.nodes.shape[1] // 2
     limb = library.fine.between(library.bands.nodes[-1, [node]], np.eye(n + 2 * s))[0]
-    twin = library._flat_bells[-1, node]
+    layered = library._flat_bells[-1, node]
     z, u, v = (slice(a, b) for a, b in ((0, n), (n, n + s), (n + s, n + 2 * s)))
     for i, j in ((z, z), (z, u), (z, v), (u, u), (u, v), (v, v)):
-        share = np.vdot(twin[i, j], limb[i, j]) / np.linalg.norm(twin[i, j]) ** 2
+        share = np.vdot(layered[i, j], limb[i, j]) / np.linalg.norm(layered[i, j]) ** 2
         assert abs(share - 1) < 0.4  # the sides come back, .24 of the weakest coupling; turned round it were 2
 
 
@@ -227,10 +231,10 @@ def test_discs_that_are_held_again_are_those_that_were_never_let_go(slab, librar
     ports, frequency = library.ports(slab), np.array([70.0, 90.0])
     places = library.skin.flat(positions(ports))
     discs = [Disc(x, y, 0.002, "bonded") for x, y in places[:2].tolist()] + [Disc(x, y) for x, y in places[2:].tolist()]
-    free = library.twin.compliance(2 * np.pi * frequency, discs, free=True).values
-    direct = library.twin.compliance(2 * np.pi * frequency, discs).values
+    free = library.layered.compliance(2 * np.pi * frequency, discs, free=True).values
+    direct = library.layered.compliance(2 * np.pi * frequency, discs).values
     assert free.shape == (2, 12, 12)  # four ports, two discs along u and v, and their tilts
-    found, hold = held(free, len(ports))
+    found, hold = constrained_compliance(free, len(ports))
     assert found[:, :, :2] == pytest.approx(direct[:, :, :2], rel=1e-10, abs=1e-12 * np.abs(direct[:, 0, 0]).max())
     # silent discs move nowhere: what is left of the free ones' motion under the forces that hold them
     forced = np.concatenate([np.tile(np.eye(4), (2, 1, 1)), hold.swapaxes(1, 2)], axis=1)[:, :, :2]
@@ -248,11 +252,11 @@ def test_discs_that_are_held_again_are_those_that_were_never_let_go(slab, librar
     assert 1.1 < abs(free[0, 4, 4] / free[0, 0, 0]) < 1.6
 
 
-def test_a_slab_answers_nearly_as_its_twin(slab, library):
+def test_a_slab_answers_nearly_as_its_layered_model(slab, library):
     found = library.compliance(slab)
     data = {**SLAB, "engine": "layered"}
-    twin = simulate(parse_scenario(data)).compliance
-    own, truth = found.values[:, :, :2], twin.values[:, :, :2]
+    layered = simulate(parse_scenario(data)).compliance
+    own, truth = found.values[:, :, :2], layered.values[:, :, :2]
     assert np.abs(own - truth)[:, :2].max() < 0.15 * np.abs(truth).max()  # the sides come back: 50 mm at 60 Hz
     assert np.abs(own - truth)[:, :2].max() > 1e-3 * np.abs(truth).max()  # so the limb does count
     assert np.abs(found.values - found.values.swapaxes(1, 2))[:, :2, :2].max() < 1e-15
@@ -286,23 +290,23 @@ def test_moments_of_discs_are_derivatives_of_their_forces(contact, tension):
 def test_discs_are_held_against_the_slope_of_what_the_limb_adds(slab, library):
     """The limb adds a standing wave, of the place that pushes as of that which reads; held by hand, of closed forms."""
     asked, s = library._asked(slab), len(library.sideways)
-    k, b, a = np.array([100.0, -75.0]), int(library.bands.number(asked.frequency)[0]), library.twin.radius
+    k, b, a = np.array([100.0, -75.0]), int(library.bands.number(asked.frequency)[0]), library.layered.radius
     assert (library.bands.number(asked.frequency) == b).all()
-    size, x = 0.5 * np.abs(asked.twin.values[:, 0, 0]).max(), np.linalg.norm(k)
+    size, x = 0.5 * np.abs(asked.layered.values[:, 0, 0]).max(), np.linalg.norm(k)
     bells = np.concatenate([np.sin(library.centres @ k) * np.exp(-((x * library.width) ** 2) / 2), np.zeros(2 * s)])
 
     class Wave:
         def between(self, frequency, weights, wanted):
-            twin = weights.T @ library._flat_bells[b] @ weights
+            layered = weights.T @ library._flat_bells[b] @ weights
             added = np.outer(weights.T @ bells, weights.T @ bells)
-            return np.einsum("fn,nij->fij", library.bands.between(frequency), twin) + size * added
+            return np.einsum("fn,nij->fij", library.bands.between(frequency), layered) + size * added
 
     found, _ = library._answer(asked, Wave())
     discs, points = asked.places[:2] @ k, asked.places[2:] @ k
     seen = [np.sin(discs) * np.sin(x * a) / (x * a), np.sin(points), np.zeros(4)]
     slope = 3 * spherical_jn(1, x * a) / (x * a) * np.outer(k, np.cos(discs)).ravel()
     truth, flat = (
-        held(asked.twin.values + size * np.outer(moved, moved), len(asked.ports))[0][:, :, :2]
+        constrained_compliance(asked.layered.values + size * np.outer(moved, moved), len(asked.ports))[0][:, :, :2]
         for moved in (np.concatenate([*seen, of]) for of in (slope, 0 * slope))
     )
     off = np.abs(found.values[:, :, :2] - truth).max() / np.abs(truth).max()
@@ -381,7 +385,7 @@ def test_skin_stretches_where_no_plane_has_it():
     assert most["cone"] < 3e-3 < 0.01 < most["barrel"]
 
 
-def test_what_stretched_skin_is_off_by_is_what_the_twin_changes():
+def test_what_stretched_skin_is_off_by_is_what_the_layered_model_changes():
     """A rigid disc on thick skin at 5 Hz: points 1 to 4 mm off its rim, 1 and 3 % nearer than they lie flat."""
     radius = 3.5e-3
     layer = Layer(np.inf, 1050.0, lambda omega: np.asarray(1e4 + 5j * omega, dtype=complex))
@@ -641,8 +645,11 @@ def test_what_a_library_cannot_answer_is_one_sentence(library, change, error, sa
         ({"library": {"length": 0.2, "width": 0.03}}, "reaches beyond the volar skin"),
         ({"limb": {**SLAB["limb"], "symmetry": ["x"]}}, "cut by limb.symmetry"),
         (
-            {"limb": {"shape": "slab", "length": 0.1, "width": 0.1}, "solver": {"memory_limit": 1e8},
-             "library": {"length": 0.05, "width": 0.05, "step": 1e-3}},
+            {
+                "limb": {"shape": "slab", "length": 0.1, "width": 0.1},
+                "solver": {"memory_limit": 1e8},
+                "library": {"length": 0.05, "width": 0.05, "step": 1e-3},
+            },
             r"library: \d+ loads, 1 mm apart, need more than .* enlarge library.step",
         ),
         ({"tissues": {"override": {"fat": {"law": "springpot", "mu": 3e3, "exponent": 0.2}}}}, "needs Kelvin-Voigt"),

@@ -30,7 +30,7 @@ from forearm_fem.measurement.virtual import Faults, VirtualSensor, noise_for
 from forearm_fem.metrics import signal_strength
 from forearm_fem.questions.calibrate import VirtualSetup, calibration_plan, run_calibration, virtual_device
 from forearm_fem.questions.compare.compare import compare
-from forearm_fem.questions.compare.parameters import ScenarioModel, TwinBetween
+from forearm_fem.questions.compare.parameters import LayeredBetween, ScenarioModel
 from forearm_fem.questions.compare.run import _biased
 from forearm_fem.rendering import InverseFilter, displacements, drives, ricker
 from forearm_fem.scenario import parse_scenario
@@ -381,13 +381,13 @@ def test_impossible_options_are_refused():
     ("snr_db", "strengths"),
     [(60.0, (3.16, 2.20, 4.04)), (40.0, (2.89, 2.20, 3.84)), (20.0, (1.82, 2.20, 2.60))],
 )
-def test_thesis_size_loop_on_the_layered_twin(tmp_path, snr_db, strengths):
-    """981 bins at 10 kHz, the default forearm as the layered twin sees it: docs/theory/estimator.md, second
+def test_thesis_size_loop_on_the_layered_model(tmp_path, snr_db, strengths):
+    """981 bins at 10 kHz, the default forearm as the layered model sees it: docs/theory/estimator.md, second
     table.
     """
     scenario = parse_scenario({})
-    twin = ScenarioModel(scenario, TwinBetween(*planform_ports(scenario)), np.arange(20, 1001) * 0.5)
-    truth = replace(twin({}), contacts=None)
+    layered = ScenarioModel(scenario, LayeredBetween(*planform_ports(scenario)), np.arange(20, 1001) * 0.5)
+    truth = replace(layered({}), contacts=None)
     setup = VirtualSetup(truth, snr_db, latency=5)
     estimate = run_calibration(scenario, tmp_path, virtual=setup, figure=False).measured.transfer
     plan = calibration_plan(scenario, setup)
@@ -405,8 +405,8 @@ def test_thesis_size_loop_on_the_layered_twin(tmp_path, snr_db, strengths):
 def test_a_window_buys_back_most_of_what_20_db_cost(tmp_path):
     """The last line of that table: impulse responses cut to 0.2 s of the 2 s record."""
     scenario = parse_scenario({"measurement": {"estimator": "deconvolution", "window": 0.2}})
-    twin = ScenarioModel(scenario, TwinBetween(*planform_ports(scenario)), np.arange(20, 1001) * 0.5)
-    truth = replace(twin({}), contacts=None)
+    layered = ScenarioModel(scenario, LayeredBetween(*planform_ports(scenario)), np.arange(20, 1001) * 0.5)
+    truth = replace(layered({}), contacts=None)
     setup = VirtualSetup(truth, 20.0, latency=5)
     estimate = run_calibration(scenario, tmp_path, virtual=setup, figure=False).measured.transfer
     crossed = compare(truth, replace(estimate, valid=None)).crossed

@@ -31,7 +31,7 @@ from forearm_fem.questions.compare.parameters import (
     fem_model_for,
 )
 from forearm_fem.questions.compare.run import run_fit
-from forearm_fem.questions.predict.arm import LayeredArm, ReducedArm, _nearness, arm_model, on_mesh_of
+from forearm_fem.questions.predict.arm import LayeredArm, ReducedArm, _nearness, arm_model, with_scene_geometry
 from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.scenario.sweep import frequencies
@@ -156,7 +156,7 @@ def test_frequencies_beyond_the_band_are_refused(model):
         model.compliance(parse_scenario(SCENE), np.array([100.0, 600.0]))
 
 
-def test_the_twin_needs_none():
+def test_the_layered_model_needs_none():
     with pytest.raises(ScenarioError, match="engine"):
         parametric_model(parse_scenario({**SCENE, "engine": "layered"}))
 
@@ -483,10 +483,11 @@ def test_a_bare_answer_has_the_values_of_a_stated_one(model):
 
 
 def test_what_geometry_changes_between_the_frequencies_asked_is_within_its_statement(model):
-    """The twin at every tenth bin tells what a rational function of 33 answers leaves there; its errors hold it."""
+    """The layered model at every tenth bin tells what a rational function of 33 answers leaves there; its errors hold
+    it."""
     scene = parse_scenario(SCENE)
     arm, drawn = ReducedArm(scene, model, LayeredArm()), parse_scenario(THICK)
-    own, f = on_mesh_of(scene, drawn), frequencies(scene.sweep)[::2]
+    own, f = with_scene_geometry(scene, drawn), frequencies(scene.sweep)[::2]
     some = slice(3, None, 20)
     (change, error), (exact, _) = arm._change(drawn, own, f), arm._change(drawn, own, f[some])
     off = np.abs(change[some] - exact)[:, 2:, :2]
@@ -507,7 +508,7 @@ def test_one_azimuthal_order_says_what_geometry_changes_within_its_statement(mod
     arm = ReducedArm(scene, model, LayeredArm(True, 1e-2, 3))
     for number in (3, 7):
         drawn = scenario_of(draw_inputs(load_priors(), scene, 0, number), scene)
-        own = on_mesh_of(scene, drawn)
+        own = with_scene_geometry(scene, drawn)
         change, error = arm._change(drawn, own, PROBES)
         truth = np.subtract(*(np.nan_to_num(exact.compliance(s, PROBES).values) for s in (drawn, own)))
         kinds = np.array([port.kind for port in flat_ports(scene)])
@@ -524,36 +525,37 @@ def test_one_azimuthal_order_says_what_geometry_changes_within_its_statement(mod
     assert _nearness(parse_scenario(SCENE)) == 0  # pressure scatters nothing
 
 
-def test_an_arm_of_other_thickness_is_nearer_with_the_twins_change(model):
+def test_an_arm_of_other_thickness_is_nearer_with_the_layered_models_change(model):
     """Thicker fat and a grid laid 2 mm aside, against a mesh of that arm; the error stated covers what is left. Where
-    the grid can be read as it lies, the twin's change and half of it are of the fat alone."""
+    the grid can be read as it lies, the layered model's change and half of it are of the fat alone."""
     scene = parse_scenario(SCENE)
     arm, still = (ReducedArm(scene, m, LayeredArm()) for m in (model, replace(model, around=None)))
     drawn = scenario_of(draw_inputs(load_priors(), scene, 0, 4), scene, ("contact area",))
     drawn = drawn.model_copy(update={"limb": parse_scenario(THICK).limb, "grid": parse_scenario(THICK).grid})
     answer = arm.answer(drawn, PROBES)
     found = answer.compliance
-    truth, own = solved(drawn), model.compliance(on_mesh_of(scene, drawn), PROBES).block("point", "contact")
+    truth, own = solved(drawn), model.compliance(with_scene_geometry(scene, drawn), PROBES).block("point", "contact")
     errors = {e.source: e.band for e in found.errors}
     left, held = (band_error(v, truth) for v in (found.block("point", "contact"), own))
     assert held > 0.1  # else there is nothing to mend
     assert left < held / 2
     assert left < np.linalg.norm(list(errors.values())) < 10 * left
     assert np.isnan(found.values[:, 2, 2]).all()  # a point on itself is unknown still
-    laid = on_mesh_of(scene, drawn).model_copy(update={"grid": drawn.grid})
+    laid = with_scene_geometry(scene, drawn).model_copy(update={"grid": drawn.grid})
     before, missed = model.answer(laid, PROBES)
     change = np.abs(np.nan_to_num(found.values - before.values))
     off = np.abs(np.nan_to_num(np.array([other.values for other in answer.others]) - found.values))
-    _, twins = arm._change(drawn, laid, PROBES)
-    most = 0.5 * change + twins + missed.of(before)  # half of the change and the twin's errors, in any phase; reduction
+    _, numerics = arm._change(drawn, laid, PROBES)
+    # Half of the change and the layered model's errors, in any phase; reduction
+    most = 0.5 * change + numerics + missed.of(before)
     assert len(off) == 6
     assert (off <= most * (1 + 1e-9) + 1e-20).all()
     assert (off.max(axis=(2, 3)) > 0.05 * change.max(axis=(1, 2))).all()
     assert all(np.allclose(o.values[:, 0, 1], o.values[:, 1, 0], rtol=1e-12) for o in answer.others)
     assert answer.shown == set(errors)
-    all_by_twin = {e.source: e for e in still.compliance(drawn, PROBES).errors}["interpolation"]
-    assert errors["interpolation"] < 0.8 * all_by_twin.band
-    assert "contact area and the grid's place change" in all_by_twin.method
+    all_by_layers = {e.source: e for e in still.compliance(drawn, PROBES).errors}["interpolation"]
+    assert errors["interpolation"] < 0.8 * all_by_layers.band
+    assert "contact area and the grid's place change" in all_by_layers.method
 
 
 class Unsure(LayeredArm):
@@ -579,11 +581,11 @@ def test_an_answer_may_be_missed_alike_everywhere_or_at_each_pair(model):
         assert np.allclose(np.abs(off), 1.0, rtol=1e-6) == alike
 
 
-def test_what_the_twin_errs_by_in_its_change_is_in_the_arms_interval(model):
+def test_what_the_layered_model_errs_by_in_its_change_is_in_the_arms_interval(model):
     """It was in e_band alone; and over the largest of a kind, so that points far away err by their own size."""
     scene, drawn = parse_scenario(SCENE), parse_scenario(THICK)
     drawn = parse_scenario(SCENE).model_copy(update={"limb": drawn.limb})
-    sure, unsure = (ReducedArm(scene, model, twin).answer(drawn, PROBES) for twin in (LayeredArm(), Unsure()))
+    sure, unsure = (ReducedArm(scene, model, layered).answer(drawn, PROBES) for layered in (LayeredArm(), Unsure()))
     found = sure.compliance.values
     points, contacts = sure.compliance.indices("point"), sure.compliance.indices("contact")
     for pair in ((points, contacts), (contacts, contacts)):
@@ -594,7 +596,8 @@ def test_what_the_twin_errs_by_in_its_change_is_in_the_arms_interval(model):
         )
         size = np.abs(found[block]).max()
         assert large > 2 * small
-        assert 0.02 * size < large < 0.4 * size  # two answers of the twin, each a fifth of its own largest at most
+        # Two answers of the layered model, each a fifth of its own largest at most
+        assert 0.02 * size < large < 0.4 * size
     bands = [{e.source: e.band for e in a.compliance.errors}["interpolation"] for a in (sure, unsure)]
     assert 0.1 < bands[1] - bands[0] < 0.8
 
@@ -636,7 +639,7 @@ def test_a_grid_is_read_where_it_lies(model, two_draws, aside):
         assert left < found.errors[0].band < 5 * left
 
 
-def test_a_grid_too_far_away_is_the_twins(model):
+def test_a_grid_too_far_away_is_the_layered_models(model):
     scene = parse_scenario(SCENE)
     far = laid_at(scene, [[0.0, 9.5e-3], [2e-3, -9e-3]])
     assert not model.follows(far)
@@ -675,7 +678,7 @@ def test_what_is_missed_is_known_for_each_pair(model, two_draws):
 
 def test_an_arm_that_differs_in_tissue_alone_is_the_models(model):
     scene = parse_scenario(SCENE)
-    drawn = on_mesh_of(scene, scenario_of(draw_inputs(load_priors(), scene, 0, 5), scene))
+    drawn = with_scene_geometry(scene, scenario_of(draw_inputs(load_priors(), scene, 0, 5), scene))
     one, other = ReducedArm(scene, model, LayeredArm()).compliance(drawn, PROBES), model.compliance(drawn, PROBES)
     assert np.array_equal(np.nan_to_num(one.values), np.nan_to_num(other.values))
     assert len(one.errors) == 1
@@ -715,9 +718,7 @@ def test_intervals_of_a_fit_hold_what_the_reduction_errs_by(model, monkeypatch):
     made = lambda *_, **__: replace(model, checks=CHECKS)  # noqa: E731
     monkeypatch.setattr("forearm_fem.questions.compare.run.fem_model_for", made)
     whole = run_fit(scene, data, names, fem=True)
-    noise, coarse = (
-        fit(ScenarioModel(scene, m, PROBES), data, chosen) for m in (model, model.coarser)
-    )
+    noise, coarse = (fit(ScenarioModel(scene, m, PROBES), data, chosen) for m in (model, model.coarser))
     for p in chosen:
         own, moved = np.log(noise.interval[p.name][1] / noise.values[p.name]), np.log(coarse.values[p.name] / p.start)
         half = np.log(whole.fit.interval[p.name][1] / whole.fit.values[p.name])

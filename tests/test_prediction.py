@@ -1,4 +1,5 @@
-"""Predictions on the twin: what noise and belief do to S, resuming, processes, statistics by hand, the command."""
+"""Predictions on the layered model: what noise and belief do to S, resuming, processes, statistics by hand, the
+command."""
 
 from __future__ import annotations
 
@@ -199,7 +200,7 @@ def test_renderers_believe_the_grid_where_it_was_laid_out() -> None:
 
 
 def test_the_arm_model_states_its_error_and_keeps_it() -> None:
-    """A rigid cone with tension: fewer terms against the twin as it solves a scene."""
+    """A rigid cone with tension: fewer terms against the layered model as it solves a scene."""
     from forearm_fem.engines.layered import solve_layered
 
     scene = parse_scenario({"engine": "layered", "tissues": {"membrane": {"tension": 40.0}}, "limb": {"bones": []}})
@@ -208,7 +209,7 @@ def test_the_arm_model_states_its_error_and_keeps_it() -> None:
     difference = np.nanmax(np.abs(fast.values - truth.values), axis=(1, 2))
     assert (difference / np.nanmax(np.abs(truth.values), axis=(1, 2)) <= np.array(fast.errors[0].per_frequency)).all()
     assert fast.errors[0].band < 0.05
-    assert "solved by finite elements" in arm_model(parse_scenario({}), twin=True).left_out
+    assert "solved by finite elements" in arm_model(parse_scenario({}), layered=True).left_out
     assert "solved by finite elements" not in arm_model(scene).left_out
 
 
@@ -305,7 +306,7 @@ def test_an_error_of_known_shape_is_no_noise() -> None:
 
 def test_arms_of_shorter_waves_than_the_mesh_was_made_for_are_told(found: tuple[Prediction, Path]) -> None:
     whole, _ = found
-    assert shorter_waves(whole) is None  # the twin has no mesh
+    assert shorter_waves(whole) is None  # the layered model has no mesh
     scene, drivers = parse_scenario({}), np.array(whole.draws.drivers)
     for tissue, soft in (("skin", 9.0), ("muscle", 9.0), ("fat", 0.25)):  # half as long in every second arm's fat
         own = abs(complex(resolve_tissues(scene)[tissue].modulus.at(2 * np.pi * 150.0)))
@@ -329,7 +330,7 @@ def test_an_interruption_before_the_first_draw_leaves_no_file(tmp_path: Path, mo
 def test_quantiles_by_hand() -> None:
     values = np.arange(101.0)[::-1, None] + np.array([0.0, 1000.0])
     assert numbers.quantiles(values) == pytest.approx(np.array([5, 25, 50, 75, 95])[:, None] + np.array([0, 1000.0]))
-    bare = numbers.Enclosed(values, values, values)
+    bare = numbers.IntervalSamples(values, values, values)
     assert bare.quantiles() == pytest.approx(numbers.quantiles(values))
     assert bare.judged(np.array([4.9, 1095.0]))[0].tolist() == [False, True]
 
@@ -337,10 +338,10 @@ def test_quantiles_by_hand() -> None:
 def test_what_numerics_may_do_to_an_arm_widens_the_band_and_never_narrows_it() -> None:
     values = np.arange(1.0, 102)[:, None]
     spread = np.where(values <= 10, math.log(2), 0.0)  # low arms alone are uncertain by a factor of two
-    arms = numbers.Enclosed(values, values * np.exp(-spread), values * np.exp(spread))
+    arms = numbers.IntervalSamples(values, values * np.exp(-spread), values * np.exp(spread))
     assert arms.quantiles()[:, 0] == pytest.approx([3.0, 26.0, 51.0, 76.0, 96.0])  # 6 is halved, the others stay
     assert arms.above(8.0)[:, 0] == pytest.approx(np.array([91, 93, 97]) / 101)
-    both = numbers.Enclosed(values, values / 2, values * 2)
+    both = numbers.IntervalSamples(values, values / 2, values * 2)
     assert (both.quantiles()[[0, -1]] / arms.quantiles()[[0, -1]])[:, 0] == pytest.approx([1.0, 2.0])
     targets = both.of_groups({"Middle (5)": [0]})
     assert (targets.high / targets.low == 4).all()
@@ -349,15 +350,17 @@ def test_what_numerics_may_do_to_an_arm_widens_the_band_and_never_narrows_it() -
 def test_a_verdict_that_other_draws_may_not_repeat_is_not_sure() -> None:
     """A share of 5 % of 101 arms is known within 1.96 sqrt(.05 .95 / 101) = 4.25 %."""
     values = np.arange(101.0)[:, None]
-    arms = numbers.Enclosed(values, values, values)
+    arms = numbers.IntervalSamples(values, values, values)
     told = {x: tuple(bool(v[0]) for v in arms.judged(np.array([x]))) for x in (0.5, 4.0, 6.0, 9.0, 10.0, 95.5, 99.5)}
     assert told == {
         0.5: (False, True), 4.0: (False, False), 6.0: (True, False), 9.0: (True, False), 10.0: (True, True),
         95.5: (False, False), 99.5: (False, True),
     }  # fmt: skip
-    unsure = numbers.Enclosed(values, 0.5 * values, 2 * values)  # 15 is inside, unless numerics double the low arms
+    unsure = numbers.IntervalSamples(
+        values, 0.5 * values, 2 * values
+    )  # 15 is inside, unless numerics double the low arms
     assert [bool(v[0]) for v in unsure.judged(np.array([15.0]))] == [True, False]
-    few = numbers.Enclosed(values[:20], values[:20], values[:20])
+    few = numbers.IntervalSamples(values[:20], values[:20], values[:20])
     assert not few.judged(np.array([-1.0]))[1].any()  # outside all of 20 arms: an end of their band is not known
 
 
@@ -403,7 +406,7 @@ def test_joint_distance_knows_correlation() -> None:
     z = np.random.default_rng(1).standard_normal((4000, 2))
     cloud = np.exp(np.column_stack([z[:, 0], 0.95 * z[:, 0] + np.sqrt(1 - 0.95**2) * z[:, 1]]))
     along, across = np.exp([1.5, 1.5]), np.exp([1.5, -1.5])  # both within each band of 90 %
-    arms = numbers.Enclosed(cloud, cloud, cloud)
+    arms = numbers.IntervalSamples(cloud, cloud, cloud)
     assert arms.judged(along)[0].all()
     assert arms.judged(across)[0].all()
     assert numbers.joint_distance(cloud, along)[1] > 0.2

@@ -26,14 +26,14 @@ from forearm_fem.rendering import (
     displacements,
     drives,
     funneling_weights,
-    place,
+    on_record_bins,
     render_all,
     ricker,
     scale_to,
     scaled,
     strengths,
 )
-from forearm_fem.rendering.sharing import settled
+from forearm_fem.rendering.inverse_filter import precomputed_for_targets
 from forearm_fem.transfer import TransferMatrix
 
 BAND = np.arange(20, 1001) * 0.5  # the 981 bins of the thesis' record between 10 and 500 Hz
@@ -94,7 +94,7 @@ METHODS = (InverseFilter(), Funneling(), Combination())
 def test_as_many_control_points_as_actuators_are_met_exactly(coarse, short):
     sent = drives(InverseFilter(zeros=("1", "3", "7"), peak=2e-6), coarse, "6", short)
     reached = displacements(coarse, sent)
-    placed = place(coarse, short.record)
+    placed = on_record_bins(coarse, short.record)
     kept = np.zeros(len(short.spectrum), dtype=complex)
     kept[placed.bins.index] = short.spectrum[placed.bins.index]
     asked = 2e-6 * np.roll(np.fft.irfft(kept * short.record.sample_rate, short.record.n), short.record.centre)
@@ -383,7 +383,9 @@ def test_settled_renderers_aim_as_they_did(short, zeros):
     """At another G of the same ports, too: places alone were asked."""
     g, other = (waves(np.arange(10.0, 500.1, 5.0), gains=gains) for gains in ((1, 1, 1, 1), (1, 0.5, 1.2, 0.9)))
     methods = METHODS if zeros is None else tuple(m.with_zeros(zeros) for m in (METHODS[0], METHODS[2]))
-    for before, after in zip(methods, settled(methods, place(g, short.record), "51"), strict=True):
+    for before, after in zip(
+        methods, precomputed_for_targets(methods, on_record_bins(g, short.record), "51"), strict=True
+    ):
         for target in "51":  # a corner has zero points of its own
             one, two = (drives(m, other, target, short) for m in (before, after))
             assert one.zeros == two.zeros

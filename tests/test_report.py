@@ -8,7 +8,7 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -20,9 +20,18 @@ from forearm_fem.rendering.limits import CLEARANCE, counted_points, not_counted_
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.show import Results, kinds
 from forearm_fem.show.answer import answer_of, console_lines, is_thesis_device, method_answers, next_steps, trust_of
-from forearm_fem.show.facts import condition_words, differences, exceeded, limit_words, scene_block
-from forearm_fem.show.judge import Strengths, strengths
+from forearm_fem.show.facts import (
+    condition_words,
+    differences,
+    errors_block,
+    exceeded,
+    limit_words,
+    scene_block,
+)
+from forearm_fem.show.judge import ERRORS, Strengths, strengths
+from forearm_fem.show.page import Page
 from forearm_fem.show.report import write_report
+from forearm_fem.transfer import ErrorSource
 
 pytestmark = pytest.mark.drawn
 
@@ -46,7 +55,8 @@ def data(folder: Path) -> Strengths:  # noqa: F811
 def test_the_answer_stands_above_everything_that_is_folded(report: tuple[str, str, Path]) -> None:
     """A reader who has to scroll past settings for S was not answered."""
     page, text, _ = report
-    assert page.index('class="answer"') < page.index('id="map"') < page.index('id="trust"') < page.index("<details")
+    trust = page.index("People differ")
+    assert page.index('class="answer"') < trust < page.index('id="map"') < page.index("<details")
     assert page.index("<details") < page.index('id="settings"')
     assert "SHA-256" not in text  # the short form leaves out what is folded
 
@@ -206,3 +216,20 @@ def test_a_phone_shows_the_page_without_scrolling_sideways(browser: Any, report:
     page.goto(report[2].as_uri())
     page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+def test_errors_are_told_in_the_glossarys_words(folder: Path) -> None:  # noqa: F811
+    """Each source that an engine may state has a name there; "order p is 1.85 below 0.115" told nobody."""
+    results = Results.open(folder)
+    block = errors_block(results)
+    assert len(block.rows) == len(results.transfer.errors)
+    stated = {e.source for e in results.transfer.errors}
+    assert stated <= set(ERRORS)
+    assert {row[0] for row in block.rows} == {ERRORS[s][0] for s in stated}
+    assert set(get_args(ErrorSource)) <= set(ERRORS)
+
+
+def test_code_in_a_sentence_is_code_on_the_page() -> None:
+    page = Page("t", ["see `forearm-fem predict` <now>"], [], "s")
+    assert "see <code>forearm-fem predict</code> &lt;now&gt;" in page.html()
+    assert "`forearm-fem predict` <now>" in page.markdown()

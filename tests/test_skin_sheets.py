@@ -1,4 +1,4 @@
-"""What lies on the skin: tension against the twin, and a patch of tape that ends somewhere."""
+"""What lies on the skin: tension against the layered model, and a patch of tape that ends somewhere."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from forearm_fem.verification.scenes import (
     DIRECT,
     flesh,
     held_block,
+    layered_truth,
     quarter_slab,
     slab_model,
     slab_response,
-    twin_response,
 )
 
 SIZES = {"size_grid": 5e-3, "size_far": 8e-3, "size_contact": 2e-3, "element": "P2/P3"}
 
 
-def test_tension_is_that_of_the_twin():
+def test_tension_is_that_of_the_layered_model():
     """60 N/m under and around a bonded disc on a slab, 300 Hz: mesh and side walls leave 0.4 % of the largest entry,
     the tension changes it by a third."""
     slack, taut = (
         quarter_slab((0.010, 0.020), side=0.09, depth=0.03, mesh=SIZES, contact="bonded", membrane={"tension": t})
         for t in (0.0, 60.0)
     )
-    found, truth = slab_response(slab_model(taut), [300.0])[0], twin_response(taut, [300.0])[0]
+    found, truth = slab_response(slab_model(taut), [300.0])[0], layered_truth(taut, [300.0])[0]
     assert np.abs(found - truth).max() < 0.01 * np.abs(truth).max()
     assert np.abs(found - truth)[1] < 0.02 * np.abs(truth[1])
-    assert np.abs(truth - twin_response(slack, [300.0])[0]).max() > 0.2 * np.abs(truth).max()
+    assert np.abs(truth - layered_truth(slack, [300.0])[0]).max() > 0.2 * np.abs(truth).max()
 
 
 def test_a_rectangle_covers_its_area_of_the_upper_side():
@@ -77,7 +77,7 @@ def test_a_patch_on_all_of_the_skin_is_the_membrane():
     assert abs(bare - covered) > 0.05 * abs(bare)
 
 
-def test_a_patch_beside_the_limb_or_on_the_twin_is_refused():
+def test_a_patch_beside_the_limb_or_on_the_layered_model_is_refused():
     block = held_block(2)  # its skin does not reach the origin's neighbourhood
     with pytest.raises(GeometryError, match=r"tissues\.patch"):
         build_model(block.space.mesh, block.ports, {"block": flesh()}, FreeUnderside(), Membrane(),

@@ -47,7 +47,7 @@ from forearm_fem.transfer import ErrorEstimate, band_error, entry_errors, relati
 
 TARGETS = tuple(str(k) for k in range(1, 10))
 BINS = np.arange(12.0, 500.1, 4.0)  # of a record of 0.25 s
-TWIN = {"name": "twin", "engine": "layered", "sweep": {"duration": 0.5}}
+LAYERED = {"name": "layered", "engine": "layered", "sweep": {"duration": 0.5}}
 METHODS = thesis_renderers()
 MESH = ErrorEstimate("discretisation", 0.03, "test", (10.0, 500.0), (0.01, 0.05))
 
@@ -85,7 +85,7 @@ def test_a_tapered_wavelet_keeps_the_middle_of_the_band():
 
 
 def test_the_scenario_s_window_reaches_s_and_is_on_record(tmp_path):
-    scenario = parse_scenario({**TWIN, "rendering": {"window": [-0.02, 0.03], "targets": ["5", "6"]}})
+    scenario = parse_scenario({**LAYERED, "rendering": {"window": [-0.02, 0.03], "targets": ["5", "6"]}})
     run_render(Run.start(scenario, tmp_path, Path()))
     account = json.loads((tmp_path / "run.json").read_text())["signal_strength"]
     assert account["window"] == [-0.02, 0.03]
@@ -107,7 +107,7 @@ def test_s_compared_with_itself_is_the_run_s(tmp_path):
         "window": [-0.03, 0.05], "zeros": ["1", "3"], "targets": ["5", "6"], "wavelet": {"peak": 200.0},
         "regularisation": "tikhonov", "regularisation_value": 0.1,
     }  # fmt: skip
-    run_render(Run.start(parse_scenario({**TWIN, "rendering": rendering}), tmp_path, Path()))
+    run_render(Run.start(parse_scenario({**LAYERED, "rendering": rendering}), tmp_path, Path()))
     results = Results.open(tmp_path)
     crossed = cross_play(common_ground(results.transfer, results.transfer))
     found = {(r.method, r.target): r.S for r in results.strengths}
@@ -119,7 +119,7 @@ def test_s_compared_with_itself_is_the_run_s(tmp_path):
 def test_figures_find_the_wavelet_s_file_in_the_results(tmp_path):
     (tmp_path / "scene").mkdir()
     np.save(tmp_path / "scene" / "w.npy", np.hanning(100) * np.sin(np.arange(100) / 4))
-    scenario = parse_scenario({**TWIN, "rendering": {"wavelet": {"file": "w.npy"}, "targets": ["5"]}})
+    scenario = parse_scenario({**LAYERED, "rendering": {"wavelet": {"file": "w.npy"}, "targets": ["5"]}})
     run_render(Run.start(scenario, tmp_path / "out", tmp_path / "scene"))
     assert np.abs(Results.open(tmp_path / "out").wavelet.samples).max() == 1
 
@@ -128,7 +128,7 @@ def test_figures_find_the_wavelet_s_file_in_the_results(tmp_path):
 def test_compare_finds_the_wavelet_s_file_in_a_results_folder_or_says_that_it_did_not(tmp_path, monkeypatch, near):
     (tmp_path / "scene").mkdir()
     np.save(tmp_path / "scene" / "w.npy", np.hanning(100) * np.sin(np.arange(100) / 4))
-    scenario = parse_scenario({**TWIN, "rendering": {"wavelet": {"file": "w.npy"}, "targets": ["5"]}})
+    scenario = parse_scenario({**LAYERED, "rendering": {"wavelet": {"file": "w.npy"}, "targets": ["5"]}})
     run_render(Run.start(scenario, tmp_path / "out", tmp_path / "scene"))
     monkeypatch.chdir(tmp_path)  # the file is not here
     own = Results.open(tmp_path / "out").strengths[0]
@@ -593,7 +593,7 @@ SCATTERED = {"points": [[0.0, 0.0], [0.01, 0.002], [-0.011, 0.007], [0.003, -0.0
 
 
 def test_methods_that_cannot_serve_a_layout_are_left_out_with_the_remedy(tmp_path):
-    scenario = parse_scenario({**TWIN, "device": THREE, "grid": SCATTERED})
+    scenario = parse_scenario({**LAYERED, "device": THREE, "grid": SCATTERED})
     run = Run.start(scenario, tmp_path, Path())
     rendering = run_render(run)
     assert rendering.methods == ("inverse filter",)
@@ -604,16 +604,16 @@ def test_methods_that_cannot_serve_a_layout_are_left_out_with_the_remedy(tmp_pat
 
 
 def test_no_method_left_is_known_before_the_solve():
-    only = {**TWIN, "device": THREE, "rendering": {"methods": ["funneling"], "targets": ["9"]}}
+    only = {**LAYERED, "device": THREE, "rendering": {"methods": ["funneling"], "targets": ["9"]}}
     with pytest.raises(ScenarioError, match=r"funneling is left out.*outside the actuators; name rendering\."):
         check_servable(parse_scenario(only))
-    outside = {**TWIN, "device": {"spacing": 0.02}, "rendering": {"methods": ["funneling"]}}
+    outside = {**LAYERED, "device": {"spacing": 0.02}, "rendering": {"methods": ["funneling"]}}
     with pytest.raises(ScenarioError, match=r"outside the actuators' rectangle; name rendering\.targets between"):
         check_servable(parse_scenario(outside))
-    corners = {**TWIN, "grid": SCATTERED, "rendering": {"methods": ["inverse filter"], "zeros": "thesis"}}
+    corners = {**LAYERED, "grid": SCATTERED, "rendering": {"methods": ["inverse filter"], "zeros": "thesis"}}
     with pytest.raises(ScenarioError, match=r"set rendering\.zeros = 'auto'"):
         check_servable(parse_scenario(corners))
-    alone = {**TWIN, "grid": {"points": [[0.012, 0.0]]}}
+    alone = {**LAYERED, "grid": {"points": [[0.012, 0.0]]}}
     with pytest.raises(ScenarioError, match=r"there is one point; add points, or set rendering\.methods"):
         check_servable(parse_scenario(alone))
     with pytest.raises(ScenarioError, match="there is one point"):
@@ -623,11 +623,12 @@ def test_no_method_left_is_known_before_the_solve():
 
 @pytest.mark.parametrize("engine", ["layered", "fem"])
 def test_frequencies_too_far_apart_to_render_on_are_refused_before_the_solve(engine, tmp_path, monkeypatch):
-    """G was solved, and then not rendered; now it is seen on the flat twin, whatever solves the scene, tape or not."""
+    """G was solved, and then not rendered; now it is seen on the layered model, whatever solves the scene, tape or
+    not."""
     monkeypatch.setattr("forearm_fem.questions.run._solved", lambda run: pytest.fail("solved first"))
-    far = {**TWIN, "engine": engine, "sweep": {"frequencies": list(range(20, 480, 40)), "duration": 0.5},
+    far = {**LAYERED, "engine": engine, "sweep": {"frequencies": list(range(20, 480, 40)), "duration": 0.5},
            "tissues": {"patch": {"mass": 0.2}} if engine == "fem" else {}}  # fmt: skip
-    said = r"sweep\.frequencies: by the flat twin, .* 40 Hz apart: .*; for G alone set rendering\.methods = \[\]"
+    said = r"sweep\.frequencies: by the layered model, .* 40 Hz apart: .*; for G alone set rendering\.methods = \[\]"
     for asks in (lambda s: run_all(Run.start(s, tmp_path, Path())), lambda s: check_question(Question(s, Path()))):
         with pytest.raises(ScenarioError, match=said) as problem:
             asks(parse_scenario(far))
@@ -639,7 +640,7 @@ def test_frequencies_too_far_apart_to_render_on_are_refused_before_the_solve(eng
     check_samples(parse_scenario({**far, "sweep": bins}))
 
 
-def test_frequencies_of_a_limb_without_a_twin_leave_a_note():
+def test_frequencies_of_a_limb_without_a_layered_model_leave_a_note():
     own = {"limb": {"shape": "mesh", "file": "a.vtu", "regions": {"1": "fat"}}, "sweep": {"frequencies": [50.0, 99.0]}}
     (note,) = sample_notes(parse_scenario(own))
     assert "after the solve only" in note
@@ -648,7 +649,7 @@ def test_frequencies_of_a_limb_without_a_twin_leave_a_note():
 
 
 def test_a_method_left_out_is_not_missed_by_the_account():
-    scenario = parse_scenario({**TWIN, "device": THREE})
+    scenario = parse_scenario({**LAYERED, "device": THREE})
     g = replace(waves(np.arange(10.0, 500.1, 2.0), actuators()[:3], grid()), errors=(MESH,))
     with pytest.warns(AccuracyWarning, match="is left out"):
         rendering = render_transfer(scenario, g)
@@ -675,5 +676,5 @@ def test_a_method_left_out_is_not_missed_by_the_account():
 )
 def test_impossible_wishes_are_refused_with_the_scenario(rendering, said):
     with pytest.raises(ScenarioError, match=said) as problem:
-        parse_scenario({**TWIN, "rendering": rendering})
+        parse_scenario({**LAYERED, "rendering": rendering})
     assert len(str(problem.value)) <= 300

@@ -17,7 +17,7 @@ from forearm_fem.engines.layered import LayeredEngine
 from forearm_fem.engines.solved import FemEngine
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.questions.compare.parameters import common_parameters
-from forearm_fem.questions.design.candidate import TwinArm
+from forearm_fem.questions.design.candidate import TabulatedArm
 from forearm_fem.questions.predict.arm import LayeredArm
 from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of
 from forearm_fem.questions.predict.run import Question, check_question, predict
@@ -162,7 +162,7 @@ def test_a_file_of_one_s_own_format_is_read(home: Path, simulation: Simulation, 
         read(tmp_path / "g.vib", scenario=simulation.scenario, reader=f"{home / 'stiffening.py'}:Stiffening")
 
 
-@pytest.mark.parametrize("engine", [LayeredEngine(), FemEngine(), TwinArm(), LayeredArm()])
+@pytest.mark.parametrize("engine", [LayeredEngine(), FemEngine(), TabulatedArm(), LayeredArm()])
 def test_engines_are_engines(engine: Engine):
     """One protocol: each says its name and what it holds; layers are what three of four need."""
     scenario = load_scenario("quick")

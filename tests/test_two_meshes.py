@@ -20,8 +20,8 @@ def test_lower_order_where_resolved_and_three_where_not():
     assert remaining_error(np.array([0.82, 2.1])) == pytest.approx([0.82 / 7, 0.3])
 
 
-# Direct solves of discs on slabs at accuracy 0.3 at 300 to 500 Hz, points 10 or 20 mm away, against the twin: relative
-# change of G on the mesh twice as coarse, and the true error, both as e(f) of the finer mesh.
+# Direct solves of discs on slabs at accuracy 0.3 at 300 to 500 Hz, points 10 or 20 mm away, against the layered model:
+# relative change of G on the mesh twice as coarse, and the true error, both as e(f) of the finer mesh.
 UNRESOLVED = (
     (0.308, 0.149), (0.408, 0.274), (0.433, 0.259), (0.374, 0.157), (0.244, 0.165), (0.602, 0.148), (0.405, 0.184),
     (0.622, 0.203), (0.419, 0.206), (1.342, 0.249), (1.707, 0.261), (2.583, 0.487), (0.568, 0.057), (0.899, 0.079),

@@ -21,6 +21,7 @@ from forearm_fem.questions.predict.statistics import Draws, group_deviations, lo
 from forearm_fem.questions.predict.validate import validate
 from forearm_fem.results.files import write_transfer
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.show.page import Page
 from forearm_fem.show.validation import coverage, failures, joint_words, validation_page
 from forearm_fem.store.text import read_json
 from forearm_fem.tissue import KelvinVoigt
@@ -165,17 +166,26 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Pat
     return found, folder
 
 
+def whole_text(page: Page) -> str:
+    """Everything on a page, folded or not, a line a row."""
+    rows = [" | ".join(row) for s in page.sections if s.block for row in (*s.block.rows, [s.block.note])]
+    return "\n".join([*page.answer, *rows, *(line for s in page.sections for line in (*s.bullets, *s.paragraphs))])
+
+
 def test_the_page_says_first_where_it_fails(whole: tuple[dict[str, Any], Path]) -> None:
     found, folder = whole
-    page = validation_page(found)
-    assert page.index("## Where it fails") < page.index("## What it is for") < page.index("## Published measurements")
-    first = page.partition("## What it is for")[0]
+    made = validation_page(found)
+    page, first = whole_text(made), made.markdown()
+    titles = [s.title for s in made.sections]
+    assert titles[0] == "Where it fails"
+    assert not made.sections[0].folded
+    assert made.sections[titles.index("Published measurements")].folded
     for row in failures(found):
         assert f"| {' | '.join(row)} |" in first
     for line in joint_words(found):
-        assert f"- {line}" in first
+        assert line in first
     for name, inside in coverage(found):
-        assert f"| {name} | {inside} |" in page
+        assert f"| {name} | {inside} |" in first
     for target in found["targets"]:
         assert target["name"] in page
         if target["kind"] != "not comparable" and not target["all"]["inside"]:
@@ -196,11 +206,10 @@ def test_numbers_of_the_page_are_those_of_the_run(whole: tuple[dict[str, Any], P
     found, _ = whole
     row = next(t for t in found["targets"] if t["name"] == "Zhang, speed")
     band = row["all"]
-    assert f"| {band['low']:.3g}-{band['high']:.3g} |" in validation_page(found)
+    assert f"| {band['low']:.3g}-{band['high']:.3g} |" in whole_text(validation_page(found))
     changed = {**found, "targets": [{**row, "all": {**band, "low": 77.7, "inside": False}}]}
-    first, found_at, page = validation_page(changed).partition("## What it is for")
-    assert found_at
-    assert "77.7-" in page
+    first = validation_page(changed).markdown()
+    assert "77.7-" in whole_text(validation_page(changed))
     assert f"| {row['name']}: {row['what']} ({row['note']}) | 3.25+-0.19 m/s | 77.7-" in first
 
 
@@ -238,8 +247,8 @@ def test_a_scene_of_another_device_or_stimulus_is_told_from_the_thesis(whole: tu
     assert module.other_device(parse_scenario({**SMALL, **other})) == ("device", "rendering.wavelet")
     told = "The scene's rendering.wavelet is not the thesis': Table I is of another device or stimulus and"
     page = validation_page({**found, "other_device": ["rendering.wavelet"]})
-    assert told in page.partition("## What it is for")[0]
-    assert told not in validation_page(found)
+    assert told in page.markdown()
+    assert told not in validation_page(found).markdown()
 
 
 def against_arms(g: TransferMatrix, scene: Scenario, prediction: Any) -> dict[str, Any]:
@@ -258,10 +267,9 @@ def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, An
     prediction = type("P", (), {"draws": draws})()
     told = against_arms(g, scene, prediction)
     assert len(told["entries"]) == 9
-    page = validation_page({**found, "measured": {"name": "g.nc", **told}})
-    assert "G of `g.nc`, at the places" in page.partition("## A measured G through the same comparison")[2]
-    out = f"The measured G of `g.nc`: {9 - told['inside']} of 9 entries lie outside."
-    assert out in page.partition("## What it is for")[0]
+    page = validation_page({**found, "measured": {"name": "g.nc", **told}}).markdown()
+    assert "G of g.nc, at the places" in page.partition("## A measured G through the same comparison")[2]
+    assert f"The measured G of g.nc: {9 - told['inside']} of 9 entries lie outside." in page
     slow = parse_scenario({**SMALL, "rendering": {"wavelet": {"peak": 120.0}}})
     own = render_transfer(slow, g).strengths  # the wavelet is the scene's, not 250 Hz whatever it says
     again = against_arms(g, slow, prediction)
@@ -273,7 +281,7 @@ def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, An
     holed = against_arms(replace(g, valid=valid), scene, prediction)
     assert "at the ends of its band, which are not bridged and not driven" in holed["note"]
     assert "of the wavelet's energy lies where it is unknown and is not driven" in holed["note"]
-    assert holed["note"] in validation_page({**found, "measured": {"name": "g.nc", **holed}})
+    assert holed["note"] in validation_page({**found, "measured": {"name": "g.nc", **holed}}).markdown()
     assert told["note"] == ""
     assert all(e["interval"][0] <= e["measured"] <= e["interval"][1] for e in told["entries"])
     noisy = replace(g, errors=(), deviation=0.3 * np.abs(g.values))

@@ -30,13 +30,16 @@ def test_the_command_prints_and_keeps_every_row_and_fails_for_one(tmp_path, monk
     answer = cli("verify", "--out", tmp_path / "out")
     assert answer.code == 0
     assert "1 of 1 rows met" in answer.out
+    assert "MISSED" not in answer.out
     monkeypatch.setattr(run.run_verification, "__kwdefaults__", {"cases": {"one": lambda: iter([GOOD, BAD])}})
     answer = cli("verify", "--out", tmp_path / "out")
     assert answer.code == 1
-    assert "1 of 2 rows met. Weakest: *b*" in answer.out
-    page = (tmp_path / "out" / "verification.md").read_text()
-    assert "exact \\| other" in page
-    assert [line.split("|")[-2].strip() for line in page.splitlines()[-2:]] == ["yes", "NO"]
+    assert "1 of 2 rows met" in answer.out
+    assert "MISSED: b, u: 0.002 of 0.001 allowed." in answer.out
+    page, short = ((tmp_path / "out" / f"verification.{kind}").read_text() for kind in ("html", "md"))
+    assert page.index("MISSED: b") < page.index("<table")  # the answer first
+    assert "exact \\| other" in short
+    assert page.count("because") > 2
 
 
 def test_rows_are_timed_and_progress_is_told():

@@ -469,7 +469,7 @@ def test_the_skin_moves_in_the_page_as_in_python(folder: Path) -> None:  # noqa:
 
 @needs_node
 def test_a_free_place_at_a_point_moves_as_the_point(flat: Results, content: dict[str, Any]) -> None:
-    """On the twin's flat skin, at the vertex nearest to point 5: the picture's error and 1 mm between them."""
+    """On the layered model's flat skin, at the vertex nearest to point 5: the picture's error and 1 mm between them."""
     from base64 import b64decode
 
     rest = np.frombuffer(b64decode(content["field"]["surfaces"][0]["rest"]["data"]), "<f4").reshape(-1, 3)
@@ -670,8 +670,7 @@ def test_the_folder_of_a_calibration_is_its_g_as_compare_takes_it(flat: Results,
     plain = [re.sub(r'"(name|stamp)":"[^"]*"|<title>.*?</title>|<meta name="made-of"[^>]*>', "", t) for t in texts]
     assert plain[0] == plain[1]
     write_csv(tmp_path / "lab of june.csv", flat.transfer)
-    said = cli("workbench", str(tmp_path / "lab of june.csv"))  # no traceback about its name
-    assert "interpolating them would err" in said.sentence
+    assert cli("workbench", str(tmp_path / "lab of june.csv")).code == 0  # the record whose bins it is on
     sweep = {"f_min": 20.0, "f_max": 400.0, "duration": 0.25, "sample_rate": 4000.0}
     write_transfer(place / "transfer.nc", replace(flat.transfer, provenance={"source": "measured", "sweep": sweep}))
     assert cli("workbench", str(place)).code == 0  # its own sweep's record, without a scenario

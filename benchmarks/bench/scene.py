@@ -9,7 +9,7 @@ import numpy as np
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.typing import ComplexArray, FloatArray
-from forearm_fem.verification.scenes import quarter_slab, twin_response
+from forearm_fem.verification.scenes import layered_truth, quarter_slab
 
 RADII = (0.0, 0.010, 0.020)  # m; the points read, and the mean under the disc
 BAND = np.arange(80.0, 401.0, 2.0)  # Hz: below, the cut ends of a slab this small are seen
@@ -34,7 +34,7 @@ def knob(accuracy: float) -> Scenario:
 
 def exact(frequency: FloatArray) -> ComplexArray:
     """Compliances of :func:`quarter` on an endless half-space (n, 4, 1) [m/N], Hankel quadrature to 1e-8."""
-    return np.asarray(twin_response(quarter(), tuple(frequency.tolist()))[:, :, None])
+    return np.asarray(layered_truth(quarter(), tuple(frequency.tolist()))[:, :, None])
 
 
 def device(scale: float = 1.0) -> Scenario:

@@ -22,7 +22,7 @@ PUBLIC = {
     "forearm_fem.show.workbench": "The workbench: a run as a page for the browser",
     "forearm_fem.results.files": "Files of a run",
     "forearm_fem.device": "The device's circuit and mechanics",
-    "forearm_fem.layered": "The semi-analytic twin",
+    "forearm_fem.layered": "The semi-analytic layered model",
     "forearm_fem.engines.library": "An arm's library: any arrangement without a solve",
     "forearm_fem.questions.campaign": "Campaigns",
     "forearm_fem.errors": "Named failures",

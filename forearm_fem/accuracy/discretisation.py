@@ -9,8 +9,7 @@ import numpy as np
 
 from ..geometry.device.place import place_ports
 from ..geometry.device.sizing import tetrahedron_orders
-from ..geometry.mesh.tissue_mesh import TissueMesh
-from ..geometry.mesh.topology import EDGES
+from ..geometry.mesh.tissue_mesh import EDGES, TissueMesh
 from ..ports import Port, distances
 from ..scenario import Scenario
 from ..tissue import Tissue, resolve_tissues

@@ -196,8 +196,8 @@ def stated_errors(
     found: Compliance, deviation: FloatArray, missed: FloatArray, flat: FloatArray, bent: float, moved: FloatArray
 ) -> tuple[ErrorEstimate, ...]:
     """Estimates from the standard ``deviation`` (n_frequency, p, p) [m/N] of what is interpolated and what the reduced
-    model has ``missed`` (likewise), from e(f) (n_frequency,) of the ``flat`` twin, from that of its flat discs,
-    ``bent``, and from the share of each entry by which it is ``moved`` (p, p) as skin is stretched
+    model has ``missed`` (likewise), from e(f) (n_frequency,) of the ``flat`` layered model, from that of its flat
+    discs, ``bent``, and from the share of each entry by which it is ``moved`` (p, p) as skin is stretched
     (:func:`moved_by_stretch`).
 
     Entries from discs to points count, between discs where there are none.
@@ -218,7 +218,7 @@ def stated_errors(
     return (
         by_entry("interpolation", deviation, "spread of what lies between the library's loads, by leaving each of them "
                  "out"),
-        _weighed("quadrature", flat, size, frequency, "the flat twin's tables, and last terms and orders of the "
+        _weighed("quadrature", flat, size, frequency, "the layered model's tables, and last terms and orders of the "
                  "tractions under its discs"),
         _weighed("contact", bent + stretched, size, frequency, "a quarter of the disc's squared curvature, and lengths "
                  "that no plane has between a disc and what lies beside it"),

@@ -153,7 +153,7 @@ def stage(
                 job.notes.append(f"{library}: answers in place of a solve; mesh and solver keys have no effect")
                 job.notes.append(
                     "library: the limb acts on each disc's net force; what it does to a disc held against "
-                    "tilt and slide is the flat twin's, and its error is stated as contact"
+                    "tilt and slide is the layered model's, and its error is stated as contact"
                 )
             work(job)
         print_notes(job.notes)

@@ -47,8 +47,8 @@ def predict(
         list[str] | None,
         typer.Option(help="keep the scenario's value of an input or group, e.g. tissue, placement, 'arm motion'"),
     ] = None,
-    twin: Annotated[
-        bool, typer.Option("--twin/--own", help="arms on the layered twin, or by the scene's own engine")
+    layered: Annotated[
+        bool, typer.Option("--layered/--own", help="arms on the layered model, or by the scene's own engine")
     ] = False,
     resume: Annotated[bool, typer.Option("--resume/--anew", help="go on with draws that the folder holds")] = True,
     workers: Annotated[int | None, typer.Option(min=1, help="processes; default: what cores and memory allow")] = None,
@@ -70,7 +70,7 @@ def predict(
 
         display("libraries", 1, 1)
         folder = out_folder(out, asked, overrides) / FOLDER
-        question = Question(asked, scenario.parent, seed, tuple(law or LAWS), tuple(hold or ()), twin)
+        question = Question(asked, scenario.parent, seed, tuple(law or LAWS), tuple(hold or ()), layered)
         with locked(folder):
             found = run(
                 question, folder, draws=draws, resume=resume, workers=workers, scheduler=scheduler, progress=display
@@ -98,9 +98,6 @@ def validate(
         typer.Option(help="a measured G (file or results folder) to run through the same comparison", callback=holds_g),
     ] = None,
     declare: Declared = None,
-    page: Annotated[
-        Path | None, typer.Option(help="write the page there, e.g. docs/validation.md", callback=ends_in(".md"))
-    ] = None,
 ) -> None:
     """Judge predictions by what was published: measured, band over arms, inside or not; where it fails comes first."""
     asked = load_scenario(scenario, overrides=overrides or ())
@@ -110,8 +107,8 @@ def validate(
         from ..questions.predict.run import Question
         from ..questions.predict.summary import FOLDER
         from ..questions.predict.validate import validate as run
-        from ..show.validation import coverage, failures, joint_words, validation_page
-        from ..store.folder import locked, write_text
+        from ..show.validation import failures, validation_page
+        from ..store.folder import locked
 
         display("libraries", 1, 1)
         given = measured_g(measured, asked, declare, "--measured")
@@ -121,13 +118,14 @@ def validate(
                 Question(asked, scenario.parent, seed), folder, draws=draws, resume=resume, workers=workers,
                 scheduler=scheduler, measured=given, measured_name=name, progress=display,
             )  # fmt: skip
-    target = page or folder / "validation.md"
-    write_text(target, validation_page(found, asked.name))
+    page = validation_page(found, asked.name)
+    written, _ = page.save(folder, "validation")
+    typer.echo(page.title)
     for what, seen, arms in failures(found):
         typer.echo(f"{what}: {seen}, arms {arms}")
-    for line in (*joint_words(found), *(f"inside the band, {name}: {inside}" for name, inside in coverage(found))):
+    for line in page.answer:
         typer.echo(line)
-    typer.echo(f"validation: {target}")
+    typer.echo(f"open {written}")
 
 
 # design: which device to build.
@@ -245,16 +243,17 @@ def campaign(
 
 
 def verify(
-    out: Annotated[Path, typer.Option("--out", help="folder that the table is written to")] = Path("results/verify"),
+    out: Annotated[Path, typer.Option("--out", help="folder that the page is written to")] = Path("results/verify"),
 ) -> None:
     """Check this installation against exact solutions; exit code 1 where a number misses its tolerance."""
-    from ..store.folder import locked, write_text
+    from ..store.folder import locked
     from ..verification import report, run_verification
 
     with locked(out), Display() as display, noted():
         rows = run_verification(display)
-        write_text(out / "verification.md", report.verification_page(rows))
-    typer.echo(report.verification_table(rows))
-    typer.echo(f"{report.count_met(rows)}\n{out / 'verification.md'}")
+        page = report.verification_page(rows)
+        written, _ = page.save(out, "verification")
+    for line in (page.title, *page.answer, f"open {written}"):
+        typer.echo(line)
     if not all(r.met for r in rows):
         raise typer.Exit(1)

@@ -301,7 +301,8 @@ def fit(
     declare: Declared = None,
     frequencies: Annotated[int, typer.Option(min=2, help="of the measured bins, evenly spread")] = 24,
     fem: Annotated[
-        bool, typer.Option("--fem/--twin", help="on the scene's own finite elements (reduced once), or its flat twin")
+        bool,
+        typer.Option("--fem/--layered", help="on the scene's own finite elements (reduced once), or its layered model"),
     ] = False,
 ) -> None:
     """Fit parameters of a scenario to a measured G; says what the data cannot tell and what to measure next."""

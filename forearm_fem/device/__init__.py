@@ -1,8 +1,7 @@
 """Voice coils, cones and their shared housing, closed around the skin's compliance."""
 
 from .loop import ContactState, close_loop, contact_state, propagate_errors
-from .power import PowerBalance, coil_current, driving_point_impedance, power
-from .response import DeviceResponse, respond
+from .response import DeviceResponse, PowerBalance, coil_current, driving_point_impedance, power, respond
 from .rotating_mass import RotatingMass
 
 __all__ = [

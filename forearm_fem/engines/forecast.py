@@ -111,8 +111,8 @@ class Forecast:
         """Doubts of the user's own limb, then a sentence per tissue with too few nodes per wavelength near the
         ports."""
         few = tuple(
-            f"{r.tissue}: {r.per_wavelength_near_ports:.1f} nodes per shear wavelength near the ports at {f_max:g} Hz, "
-            f"need {NODES_NEEDED:g}; lower mesh.size_grid and mesh.grading, or sweep.f_max at these sizes"
+            f"{r.tissue}: {r.per_wavelength_near_ports:.1f} nodes per shear wavelength near the device at {f_max:g} "
+            f"Hz, need {NODES_NEEDED:g}; lower mesh.size_grid and mesh.grading, or sweep.f_max at these sizes"
             for r in self.resolution
             if r.per_wavelength_near_ports < NODES_NEEDED
         )

@@ -145,7 +145,7 @@ def flat_surface(tissues: Tissues) -> Surface:
 
 
 def flat_notes(compliance: Compliance) -> tuple[str, ...]:
-    """Sentences for the report: what the twin leaves out, and what its contacts are."""
+    """Sentences for the report: what the layered model leaves out, and what its contacts are."""
     contacts = [port for port in compliance.ports if port.kind == "contact"]
     notes = [f"engine = layered: flat layers without end; {_LEFT_OUT}"]
     if contacts and contacts[0].contact != "pressure":
@@ -160,7 +160,7 @@ def _no_layers(scenario: Scenario) -> str:
     return f"engine: 'layered' needs layers, but limb.shape is '{scenario.limb.shape}'; use engine = 'fem'"
 
 
-# Tables of a scenario's flat twin, made once per tissue, disc and band, and kept in the cache.
+# Tables of a scenario's layered model, made once per tissue, disc and band, and kept in the cache.
 
 _REACH = 0.1  # [m]: tables reach to multiples of it, so that one serves every device of a forearm
 
@@ -178,14 +178,14 @@ def kept_tables(
     known: MutableMapping[str, Tabulated] | None = None,
     progress: Progress | None = None,
 ) -> Tabulated:
-    """The flat twin of the scenario's layers for its disc and band, ports up to ``reach`` [m] apart.
+    """The layered model of the scenario's layers for its disc and band, ports up to ``reach`` [m] apart.
 
     From ``known``, which is added to, else from ``folder`` (None: the cache), else made and kept there.
     """
     key = _key(scenario, reach)
     if known is not None and key in known:
         return known[key]
-    shelf = Shelf((folder or default_cache_dir()) / "twin-tables.sqlite", "tables of the layered model")
+    shelf = Shelf((folder or default_cache_dir()) / "layered-tables.sqlite", "tables of the layered model")
     cone, layers, surface = scenario.device.cone, flat_layers(scenario), flat_surface(scenario.tissues)
     found: Tabulated | None = None
     if (arrays := shelf.get(key)) is not None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..device import close_loop
 from ..errors import DataError, ForearmError, ScenarioError
-from ..rendering import Record, bridged, place
+from ..rendering import Record, bridged, on_record_bins
 from ..results.run import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.actuators import ACTUATORS
@@ -27,8 +27,8 @@ _ON_BIN = 1e-3  # of a bin: as for G's own samples
 def check_samples(scenario: Scenario) -> None:
     """Raise :class:`ScenarioError` where ``sweep.frequencies`` are too far apart to render on the bins between them.
 
-    Judged as G itself will be, on the flat twin of the same layers and device; for the user's own limb, which has none,
-    see :func:`sample_notes`.
+    Judged as G itself will be, on the layered model of the same layers and device; for the user's own limb, which has
+    none, see :func:`sample_notes`.
     """
     if not _between(scenario) or isinstance(scenario.limb, MeshLimb | SurfacesLimb):
         return
@@ -38,10 +38,10 @@ def check_samples(scenario: Scenario) -> None:
     except ForearmError:  # in words of its own, when it is solved
         return
     try:
-        place(bridged(g).transfer, Record.of(scenario.sweep.sample_rate, scenario.sweep.duration))
+        on_record_bins(bridged(g).transfer, Record.of(scenario.sweep.sample_rate, scenario.sweep.duration))
     except DataError as problem:
         raise ScenarioError(
-            f"sweep.frequencies: by the flat twin, {problem}; for G alone set rendering.methods = []"
+            f"sweep.frequencies: by the layered model, {problem}; for G alone set rendering.methods = []"
         ) from None
 
 

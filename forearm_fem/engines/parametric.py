@@ -328,7 +328,9 @@ def parametric_model(
     for the layered engine, which needs no such model.
     """
     if scenario.engine == "layered":
-        raise ScenarioError("engine: a parametric model needs engine = 'fem'; the layered twin solves each draw itself")
+        raise ScenarioError(
+            "engine: a parametric model needs engine = 'fem'; the layered model solves each draw itself"
+        )
     growth = growth or Growth()
     given = tuple(draws) if draws is not None else (ranges or Ranges()).draws(scenario, _POOL)
     if not given:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 import re
 import warnings
@@ -14,6 +13,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
+import pandas as pd
 
 from ..errors import AccuracyWarning, DataError
 from ..ports import Port
@@ -57,7 +57,6 @@ def write_csv(path: str | Path, transfer: TransferMatrix) -> None:
     """
     if broken := [p.name for p in (*transfer.outputs, *transfer.inputs) if len(f"{p.name}.".splitlines()) > 1]:
         raise DataError(f"{path}: the name {broken[0]!r} has a line break, and a line of CSV has none; rename it")
-    stream = io.StringIO()
     head = {
         "unit": transfer.unit,
         "quantity": "displacement",
@@ -68,25 +67,15 @@ def write_csv(path: str | Path, transfer: TransferMatrix) -> None:
         "outputs": [vars(p) for p in transfer.outputs],
         "inputs": [vars(p) for p in transfer.inputs],
     }
-    stream.write(_MARK + json.dumps(head) + "\n")
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_COLUMNS if transfer.deviation is not None else _COLUMNS[:-1])
-    for (k, o, i), value in np.ndenumerate(transfer.values):
-        valid = 1 if transfer.valid is None else int(transfer.valid[k, o, i])
-        row = [
-            _text(transfer.frequency[k]),
-            transfer.outputs[o].name,
-            transfer.inputs[i].name,
-            _text(value.real),
-            _text(value.imag),
-        ]
-        extra = [] if transfer.deviation is None else [_text(transfer.deviation[k, o, i])]
-        writer.writerow([*row, valid, *extra])
-    write_bytes(path, stream.getvalue().encode())
-
-
-def _text(value: Any) -> str:
-    return repr(float(value))
+    k, o, i = (index.ravel() for index in np.indices(transfer.values.shape))
+    names = [np.array([p.name for p in ports], dtype=object) for ports in (transfer.outputs, transfer.inputs)]
+    valid = np.ones(transfer.values.shape) if transfer.valid is None else transfer.valid
+    columns = [transfer.frequency[k], names[0][o], names[1][i], transfer.values.real.ravel(),
+               transfer.values.imag.ravel(), valid.ravel().astype(int)]  # fmt: skip
+    columns += [] if transfer.deviation is None else [transfer.deviation.ravel()]
+    table = pd.DataFrame(dict(zip(_COLUMNS, columns, strict=False)))
+    text = str(table.to_csv(index=False, lineterminator="\n", na_rep="nan"))
+    write_bytes(path, f"{_MARK}{json.dumps(head)}\n{text}".encode())
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,9 @@ from .device.place import (
     with_true_rims,
 )
 from .device.sizing import WIDEST, SizeField, SpaceField, element_sizes, size_growth, why_cramped
-from .limb.bending import bent_middles, with_bends
 from .limb.core import limb_mesh, underside
 from .limb.slab import slab_mesh
-from .limb.tube import Tube, tube_of
+from .limb.tube import Tube, bent_middles, tube_of, with_bends
 from .mesh.quality import check_count, check_mesh
 from .mesh.refinement import midpoints, refine_near, refine_rims, refine_skin
 from .mesh.tissue_mesh import TissueMesh

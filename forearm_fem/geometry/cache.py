@@ -21,7 +21,7 @@ from ..user_cache import default_cache_dir
 from .build import build_mesh
 from .device.layout import RIGID, layout_of
 from .device.sizing import SizeField, element_sizes, refuse_if_too_many, size_growth
-from .limb.bending import with_bends
+from .limb.tube import with_bends
 from .mesh.files import read_mesh, write_mesh
 from .mesh.quality import check_count, mesh_quality
 from .mesh.tissue_mesh import TissueMesh

@@ -1,4 +1,4 @@
-"""Semi-analytic twin: exact response of a horizontally layered body to contacts on its surface."""
+"""Semi-analytic layered model: exact response of a horizontally layered body to contacts on its surface."""
 
 from .closed_forms import (
     bonded_disc,

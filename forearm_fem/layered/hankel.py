@@ -71,7 +71,7 @@ def _ring_integral(lo: float, hi: float, distance: float, a: float, b: float) ->
 
 
 # Tables of Hankel integrals :math:`\frac1{2\pi}\int_0^\infty k\,U(k)\,g_a(k)\,g_b(k)\,J_q(kd)\,dk`.
-# g are the transforms of the tractions and of the receivers of the twin, all of unit size:
+# g are the transforms of the tractions and of the receivers of the layered model, all of unit size:
 # - ``ball``: :math:`j_l(ka)`, spherical Bessel function, the transform of order m of
 # :math:`x^m P_n^{(m,-1/2)}(1-2x^2)/\sqrt{1-x^2}` with l = m + 2n (Sonine's integral; Sneddon 1966): traction under a
 # rigid disc, the same span as :math:`x^m(1-x^2)^{n-1/2}` without its loss of digits;

@@ -23,7 +23,7 @@ from .response import LayeredResult, chebyshev_between, chebyshev_nodes, distinc
 # (:mod:`forearm_fem.layered.discs`). For discs of one radius the few hundred integrals are therefore functions of
 # one number; tabulated at the frequencies of a Chebyshev rule they answer any arrangement without a quadrature.
 
-_ORDERS = 2  # azimuthal, as the twin's own for discs 12 radii apart
+_ORDERS = 2  # azimuthal, as the layered model's own for discs 12 radii apart
 CLEAR = 2e-4  # [m] from a rim: nearer, the field of a rigid disc has a root that no table follows
 DEGREE = 5  # of the splines over distance
 MARGIN = 2.0  # times what one arrangement was seen to err by, for those not seen; and times what two orders foretell
@@ -46,7 +46,7 @@ class Tabulated:
 
     ``omega`` (n_node,) [rad/s] are the nodes between ``low`` and ``high``; ``own`` are a disc's with itself, ``apart``
     splines of those of a disc and another or a point, over the root of their distance from touching. ``checked``
-    (n_node,) is e(f), seen on one arrangement and doubled, against the twin itself.
+    (n_node,) is e(f), seen on one arrangement and doubled, against the layered model itself.
     """
 
     layers: tuple[Layer, ...]
@@ -203,10 +203,10 @@ def named(table: HankelTable, column: Column) -> Column:
 
 # Tables of the integrals between equal discs over their distance: how :class:`~.tabulated.Tabulated` is made.
 
-_DEGREE = 48  # of the Chebyshev rule in the root of the frequency, as the twin's own first try
+_DEGREE = 48  # of the Chebyshev rule in the root of the frequency, as the layered model's own first try
 _STEP = 2e-3  # [m] at the far end of a table; they lie closer towards the rims (0.8 mm leaves 1e-9, by its 6th power)
 _AT_ONCE = 6  # distances of one quadrature
-_SEEN_AT = 6  # every so many nodes a table is held against the twin's own quadrature
+_SEEN_AT = 6  # every so many nodes a table is held against the layered model's own quadrature
 
 
 def tabulate(
@@ -252,8 +252,8 @@ def tabulate(
 
 
 def _seen(made: Tabulated, tolerance: float) -> FloatArray:
-    """e(f) (n_node,), the worse of both kinds of entries, of an arrangement without symmetry against the twin's own
-    quadrature, as many orders taken: what they leave out, each arrangement says itself."""
+    """e(f) (n_node,), the worse of both kinds of entries, of an arrangement without symmetry against the layered
+    model's own quadrature, as many orders taken: what they leave out, each arrangement says itself."""
     r, reach = made.radius, 0.4 * made.farthest
     places = [(0.0, 0.0), (4.3 * r, 1.1 * r), (-2.1 * r, 0.6 * reach)]
     spots = [(2.2 * r, 2.4 * r), (0.5 * reach, -0.3 * reach), (-1.6 * r, -0.9 * r), (0.1 * reach, 0.8 * reach)]

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from ..errors import DataError, HardwareError
-from ..rendering.spectrum import Record, place
+from ..rendering.spectrum import Record, on_record_bins
 from ..scenario.measurement import Quantity, RigOptions
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
@@ -225,7 +225,7 @@ def _kernels(transfer: TransferMatrix, record: Record, options: VirtualOptions) 
     """Impulse responses (n_out, n_in, n) [V/V] of sensor after G on the record's bins, circular, delayed by
     the latency.
     """
-    placed = place(transfer, record)
+    placed = on_record_bins(transfer, record)
     full = np.zeros((record.n // 2 + 1, *placed.bins.values.shape[1:]), dtype=complex)
     full[placed.bins.index] = np.where(placed.bins.valid, placed.bins.values, 0)
     full[:, :, list(options.faults.dead_inputs)] = 0

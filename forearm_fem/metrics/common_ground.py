@@ -37,7 +37,10 @@ def matched(ours: tuple[Port, ...], theirs: tuple[Port, ...], what: str) -> tupl
         order = [names.index(p.name) for p in ours]
         return order, _disagreement(ours, theirs, order, by_place, what)
     if by_place is None and (lacking := _lacking(ours, theirs)):
-        raise DataError(f"{what}: {lacking}; compare needs the same {what} in both: leave the others out of one")
+        raise DataError(
+            f"{what}: {lacking}; compare needs the same {what} in both: leave the others out of one, "
+            "or compare them as devices, as runs (`forearm-fem render FILE` makes one)"
+        )
     if by_place is None:
         raise DataError(
             f"the {what} of A ({_listed(ours)}) and B ({_listed(theirs)}) pair neither by name nor by place; "

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import itertools
 import json
 import math
@@ -17,6 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import pandas as pd
 import psutil
 from pydantic import Field, ValidationError
 
@@ -377,11 +376,8 @@ def _collected(campaign: Campaign, done: Mapping[str, Mapping[str, Any]], reused
 def _write(out: Path, name: str, members: Sequence[MemberResult]) -> CampaignResult:
     rows = [{"member": m.name, **m.values, **m.numbers, "problem": m.problem} for m in members]
     columns = [*dict.fromkeys(key for row in rows for key in row if key != "problem"), "problem"]
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text(out / "summary.csv", stream.getvalue())
+    table = pd.DataFrame(rows, columns=columns, dtype=object)
+    write_text(out / "summary.csv", str(table.to_csv(index=False, lineterminator="\n")))
     page = campaign_page(name, columns, rows)
     page.save(out, "summary")
     return CampaignResult(out, tuple(members), page.sections[0].block.markdown() if page.sections[0].block else "")

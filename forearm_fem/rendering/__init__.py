@@ -9,14 +9,13 @@
 """
 
 from .bridging import Bridged, Interpolation, bridged
-from .combination import Combination
 from .drives import Aim, Displacements, Drives, Renderer, displacements, drives, scale_to, scaled
 from .funneling import Funneling, funneling_weights
-from .inverse_filter import InverseFilter
+from .inverse_filter import Combination, InverseFilter
 from .inversion import Inversion, Regularisation, invert
 from .limits import DriveReport, Limits, beyond_limits, check
 from .rendered import Rendered, Rendering, render_all, strengths, thesis_renderers
-from .spectrum import BinValues, Placed, Record, place, place_on_bins, respond, to_spectrum, to_time
+from .spectrum import BinnedTransfer, BinValues, Record, on_record_bins, place_on_bins, respond, to_spectrum, to_time
 from .wavelet import Wavelet, Window, from_samples_file, ricker, window_of
 from .zeros import AutoZeros, FixedZeros, SearchedZeros, ThesisZeros, ZeroSearch, best_zeros
 
@@ -24,6 +23,7 @@ __all__ = [
     "Aim",
     "AutoZeros",
     "BinValues",
+    "BinnedTransfer",
     "Bridged",
     "Combination",
     "Displacements",
@@ -35,7 +35,6 @@ __all__ = [
     "InverseFilter",
     "Inversion",
     "Limits",
-    "Placed",
     "Record",
     "Regularisation",
     "Rendered",
@@ -55,7 +54,7 @@ __all__ = [
     "from_samples_file",
     "funneling_weights",
     "invert",
-    "place",
+    "on_record_bins",
     "place_on_bins",
     "render_all",
     "respond",

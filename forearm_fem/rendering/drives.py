@@ -14,7 +14,7 @@ from ..ports import Port
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .inversion import Inversion
-from .spectrum import Placed, Record, place, respond, to_time
+from .spectrum import BinnedTransfer, Record, on_record_bins, respond, to_time
 from .wavelet import Wavelet
 
 
@@ -35,7 +35,7 @@ class Renderer(Protocol):
     def name(self) -> str:
         """Name under which results are filed."""
 
-    def aim(self, placed: Placed, target: str, wavelet: ComplexArray) -> Aim:
+    def aim(self, placed: BinnedTransfer, target: str, wavelet: ComplexArray) -> Aim:
         """Drive spectra towards output ``target`` for the wavelet's spectrum (n_bins,) [1/Hz] on the same bins."""
 
 
@@ -103,12 +103,13 @@ class Displacements:
         return self.names.index(self.target)
 
 
-def drives(renderer: Renderer, transfer: TransferMatrix | Placed, target: str, wavelet: Wavelet) -> Drives:
+def drives(renderer: Renderer, transfer: TransferMatrix | BinnedTransfer, target: str, wavelet: Wavelet) -> Drives:
     """The drives with which ``renderer`` aims ``wavelet`` at output ``target``.
 
-    ``transfer`` is G (n_frequency, n_out, n_in), or G already placed on the wavelet's bins (:func:`place`, worth it for
-    many targets). Only bins where G is known are driven; ``Drives.lost`` says what that costs. Raises ScenarioError for
-    an unknown target, DataError for a G that cannot be used, GeometryError where the renderer needs a rectangle.
+    ``transfer`` is G (n_frequency, n_out, n_in), or G already placed on the wavelet's bins (:func:`on_record_bins`,
+    worth it for many targets). Only bins where G is known are driven; ``Drives.lost`` says what that costs. Raises
+    ScenarioError for an unknown target, DataError for a G that cannot be used, GeometryError where the renderer needs a
+    rectangle.
     """
     if not hasattr(renderer, "aim"):
         raise ScenarioError(f"expected a renderer such as Funneling(), got {str(renderer)[:60]!r}")
@@ -131,15 +132,15 @@ def drives(renderer: Renderer, transfer: TransferMatrix | Placed, target: str, w
     )
 
 
-def _placed(transfer: TransferMatrix | Placed, record: Record) -> Placed:
+def _placed(transfer: TransferMatrix | BinnedTransfer, record: Record) -> BinnedTransfer:
     if isinstance(transfer, TransferMatrix):
-        return place(transfer, record)
+        return on_record_bins(transfer, record)
     if transfer.record != record:
         raise ScenarioError(f"G is placed on the bins of {transfer.record}, the signal has {record}")
     return transfer
 
 
-def displacements(transfer: TransferMatrix | Placed, drives: Drives) -> Displacements:
+def displacements(transfer: TransferMatrix | BinnedTransfer, drives: Drives) -> Displacements:
     """Displacements of all outputs of ``transfer`` under ``drives``: U = G S (eq. 3), back in time.
 
     G may be another one than the drives were made for (a perturbed or a measured one): bins of the drive where it is
@@ -161,7 +162,7 @@ def displacements(transfer: TransferMatrix | Placed, drives: Drives) -> Displace
     return Displacements(drives.method, drives.target, placed.outputs, drives.record, values, lost)
 
 
-def _unanswered(placed: Placed, spectrum: ComplexArray, outside: float) -> FloatArray:
+def _unanswered(placed: BinnedTransfer, spectrum: ComplexArray, outside: float) -> FloatArray:
     """Share (n_out,) of the drive's energy on bins where G to an output is unknown or that G has not."""
     if outside == 0 and placed.bins.valid.all():
         return np.zeros(len(placed.outputs))
@@ -180,7 +181,7 @@ def scaled(drives: Drives, factor: float) -> Drives:
 
 def scale_to(
     drives: Drives,
-    transfer: TransferMatrix | Placed | None = None,
+    transfer: TransferMatrix | BinnedTransfer | None = None,
     *,
     target_peak: float | None = None,
     drive_peak: float | None = None,

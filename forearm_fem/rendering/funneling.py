@@ -15,7 +15,7 @@ from ..ports import Port, positions
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
 from .drives import Aim
 from .lattice import SLACK, PortLattice, lattice_of
-from .spectrum import Placed
+from .spectrum import BinnedTransfer
 
 # Actuators that form no rectangle: the line they lie on, or the triangles of nearest ones.
 
@@ -174,7 +174,8 @@ class Funneling:
 
     ``amplitude`` [V, or G's drive unit] is A. The drive is cut to the bins where the target's row of G is known, as in
     the other renderers, so that their displacements compare; an actuator never measured there stays silent. ``weights``
-    are A_q / A by target where they were found before (:meth:`settled`). ``distance`` is D of eq. 6.
+    are A_q / A by target where they were found before (:meth:`precomputed_for_targets`). ``distance`` is D of
+    eq. 6.
     """
 
     amplitude: float = 1.0
@@ -182,7 +183,7 @@ class Funneling:
     weights: Weights | None = field(default=None, repr=False, compare=False)
     name: str = "funneling"
 
-    def aim(self, placed: Placed, target: str, wavelet: ComplexArray) -> Aim:
+    def aim(self, placed: BinnedTransfer, target: str, wavelet: ComplexArray) -> Aim:
         """Drive spectra towards output ``target``; ``wavelet`` (n_bins,) [1/Hz]."""
         row = placed.row(target)
         found = (self.weights or {}).get(target)
@@ -192,13 +193,13 @@ class Funneling:
         spectrum = self.amplitude * weights * np.where(used, wavelet, 0)[:, None]
         return Aim(np.asarray(spectrum, dtype=complex), used)
 
-    def settled(self, placed: Placed, targets: Sequence[str]) -> Funneling:
+    def precomputed_for_targets(self, placed: BinnedTransfer, targets: Sequence[str]) -> Funneling:
         """The same renderer with the weights of ``targets``, for any G of the same ports."""
         return replace(self, weights=settled_weights(self.weights, placed, targets, self.distance))
 
 
 def settled_weights(
-    weights: Weights | None, placed: Placed, targets: Sequence[str], distance: Distance = "spacing"
+    weights: Weights | None, placed: BinnedTransfer, targets: Sequence[str], distance: Distance = "spacing"
 ) -> Weights:
     """Weights of ``targets`` that are not among ``weights`` yet, and those; raises as :func:`funneling_weights`."""
     known = weights or {}
@@ -207,7 +208,7 @@ def settled_weights(
     return {**known, **found}
 
 
-def known_bins(placed: Placed, rows: list[int]) -> BoolArray:
+def known_bins(placed: BinnedTransfer, rows: list[int]) -> BoolArray:
     """Bins (n_bins,) on which G is valid between ``rows`` and every input that is known there at all.
 
     Raises DataError if there is none.
@@ -219,7 +220,7 @@ def known_bins(placed: Placed, rows: list[int]) -> BoolArray:
     return np.asarray(used)
 
 
-def _never_together(placed: Placed, rows: list[int]) -> str:
+def _never_together(placed: BinnedTransfer, rows: list[int]) -> str:
     """Reason that no bin serves ``rows``: outputs or single entries that are never known, or never all at once."""
     ever = np.asarray(placed.bins.valid[:, rows].any(axis=0))
     names = [placed.outputs[r].name for r in rows]
@@ -232,6 +233,6 @@ def _never_together(placed: Placed, rows: list[int]) -> str:
     return f"G is nowhere known for outputs {', '.join(names)} at once"
 
 
-def absent_inputs(placed: Placed, rows: list[int]) -> BoolArray:
+def absent_inputs(placed: BinnedTransfer, rows: list[int]) -> BoolArray:
     """Inputs (n_in,) whose column of G is never valid in ``rows``: they cannot be aimed and stay silent."""
     return np.asarray(~placed.bins.valid[:, rows].any(axis=(0, 1)))

@@ -15,12 +15,12 @@ from ..metrics import perturbed
 from ..metrics.strength import plain_strength, without_bound
 from ..store.text import plain
 from ..transfer import ErrorEstimate, TransferMatrix, between, error_of_pairs, relative_error_at, total_error
-from ..typing import FloatArray
+from ..typing import BoolArray, FloatArray
 from .bridging import with_wider_ends
 from .drives import Renderer
+from .inverse_filter import precomputed_for_targets
 from .rendered import Rendering, strengths
-from .sharing import settled
-from .spectrum import place
+from .spectrum import on_record_bins
 from .wavelet import Wavelet, Window
 from .zeros import FixedZeros, SearchedZeros
 
@@ -58,7 +58,8 @@ class Strength:
     have cost (0 without any, NaN where that cannot be told).
 
     ``window`` [s] is what S is taken over, None for the record; ``zeros`` are the zero points by method and target;
-    ``unknown`` says why there is no interval, or what an interval there is leaves out.
+    ``unknown`` says why there is no interval, or what an interval there is leaves out; ``counted`` (n_target,) marks
+    targets that are in means, None for all.
     """
 
     methods: tuple[str, ...]
@@ -72,6 +73,7 @@ class Strength:
     holes: FloatArray
     zeros: Mapping[str, Mapping[str, tuple[str, ...]]]
     unknown: str = ""
+    counted: BoolArray | None = None
 
     def __repr__(self) -> str:
         return notebook.line_of_s(self)
@@ -169,6 +171,7 @@ def strength_of(
         value * np.exp(-spread) - cost, value * np.exp(spread) + cost, record,
         strength(g, tapered) - value, cost,
         {m: {t: rendering[m, t].drives.zeros for t in rendering.targets} for m in rendering.methods}, unknown,
+        rendering.counted,
     )  # fmt: skip
 
 
@@ -241,7 +244,7 @@ def interval(
     whole = random is not None
     g, shape = (transfer, wavelet) if whole else _shorter(transfer, wavelet, span)
     sources = tuple(at_least_band(e, g.frequency) if e.source == "discretisation" else e for e in errors)
-    methods = settled(methods, place(g, shape.record), targets)
+    methods = precomputed_for_targets(methods, on_record_bins(g, shape.record), targets)
     base = strengths(g, targets, methods, shape, window=window)
     rng = np.random.default_rng(_SEED)
     square, fall = np.zeros(base.shape), np.zeros(base.shape)

@@ -25,17 +25,15 @@ from ..transfer import UNITS, TransferMatrix
 from ..typing import FloatArray
 from ..usercode import is_code, named
 from .bridging import bridged
-from .combination import Combination
 from .drives import Renderer, displacements, drives
 from .funneling import Funneling, funneling_weights
 from .interval import Strength, strength_of
-from .inverse_filter import LEAST_ERROR, InverseFilter
+from .inverse_filter import LEAST_ERROR, Combination, InverseFilter, prepared
 from .inversion import Regularisation
 from .lattice import lattice_of
 from .limits import Limits, limits_of
 from .rendered import Rendering, render_all
-from .sharing import prepared
-from .spectrum import Record, place, place_on_bins
+from .spectrum import Record, on_record_bins, place_on_bins
 from .wavelet import Wavelet, Window, from_samples_file, ricker, window_of
 from .zeros import AutoZeros, SearchedZeros, ThesisZeros
 
@@ -124,8 +122,8 @@ class RenderJob:
         ``windows`` name others.
         """
         aims, spans = self.targets, [window_of(w, self.wavelet) for w in windows or (self.window,)]
-        ready, methods = prepared(place(design_on, self.wavelet.record), self.methods, aims)
-        played = [ready if g is design_on else place(g, self.wavelet.record) for g in play_on or (design_on,)]
+        ready, methods = prepared(on_record_bins(design_on, self.wavelet.record), self.methods, aims)
+        played = [ready if g is design_on else on_record_bins(g, self.wavelet.record) for g in play_on or (design_on,)]
         out = np.empty((len(spans), len(played), len(methods), len(aims)))
         for m, method in enumerate(methods):
             for t, target in enumerate(aims):
@@ -335,7 +333,7 @@ def on_own_bins(g: TransferMatrix, scenario: Scenario) -> tuple[Scenario, str]:
 def _lies_on(g: TransferMatrix, scenario: Scenario) -> bool:
     """True if G is known on the bins of the scenario's record, or closely enough beside them."""
     try:
-        place(bridged(g).transfer, Record.of(scenario.sweep.sample_rate, scenario.sweep.duration))
+        on_record_bins(bridged(g).transfer, Record.of(scenario.sweep.sample_rate, scenario.sweep.duration))
     except DataError:
         return False
     return True

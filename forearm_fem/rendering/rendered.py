@@ -16,16 +16,14 @@ from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..metrics.strength import StrengthTable, plain_strength, signal_strength_table, without_bound
 from ..progress import Progress, tell
 from ..transfer import TransferMatrix
-from ..typing import FloatArray
+from ..typing import BoolArray, FloatArray
 from .bridging import Bridged, bridged
-from .combination import Combination
 from .drives import Displacements, Drives, Renderer, displacements, drives
 from .funneling import Funneling
-from .inverse_filter import InverseFilter
+from .inverse_filter import Combination, InverseFilter, prepared
 from .lattice import is_thesis_grid
-from .limits import DriveReport, Limits, beyond_limits, check
-from .sharing import prepared
-from .spectrum import place
+from .limits import DriveReport, Limits, beyond_limits, check, counted_points
+from .spectrum import on_record_bins
 from .wavelet import Wavelet, Window, ricker, window_of
 
 if TYPE_CHECKING:
@@ -116,6 +114,13 @@ class Rendering(Mapping[tuple[str, str], Rendered]):
         return np.array([[self.results[m, t].strength for t in self.targets] for m in self.methods])
 
     @property
+    def counted(self) -> BoolArray:
+        """Which targets (n_target,) are in means of S: none under or within the default clearance of a motor is."""
+        g = self.bridged.transfer
+        by_name = {p.name: p for p in g.outputs}
+        return counted_points([by_name[t] for t in self.targets], g.inputs)
+
+    @property
     def exceeded(self) -> tuple[str, ...]:
         """A sentence per method and limit exceeded: how often, the worst case, and the remedy."""
         first = next(iter(self.values()), None)
@@ -129,14 +134,16 @@ class Rendering(Mapping[tuple[str, str], Rendered]):
         return beyond_limits(self.methods, self.targets, channels, peak, power, self.limits)
 
     def table(self) -> StrengthTable:
-        """S in the layout of the thesis' Table I; DataError for any other grid than 3 x 3 points "1" to "9" and for no
-        targets or methods."""
+        """S of points that count in the layout of the thesis' Table I.
+
+        DataError for any other grid than 3 x 3 points "1" to "9" and for no targets or methods.
+        """
         first = next(iter(self.results.values()), None)
         if first is None:
             raise DataError("nothing was rendered, so there is no Table I: give targets and methods")
         if not is_thesis_grid(first.displacements.outputs):
             raise DataError("Table I (middle, edges, corners) is for the thesis' 3 x 3 grid only; see strengths")
-        return signal_strength_table(self.methods, self.targets, self.strengths)
+        return signal_strength_table(self.methods, self.targets, self.strengths, self.counted)
 
 
 def thesis_renderers() -> tuple[Renderer, ...]:
@@ -175,8 +182,8 @@ def render_all(
         if len(set(given)) != len(given):
             raise ScenarioError(f"a {what} is given twice: {', '.join(given)}; give each its own name")
     seconds, holes = window_of(window, wavelet), bridged(transfer)
-    placed = prepared(place(holes.transfer, wavelet.record), methods, targets)[0]
-    played = placed if play_on is None else place(bridged(play_on).transfer, wavelet.record)
+    placed = prepared(on_record_bins(holes.transfer, wavelet.record), methods, targets)[0]
+    played = placed if play_on is None else on_record_bins(bridged(play_on).transfer, wavelet.record)
     results: dict[tuple[str, str], Rendered] = {}
     for method in methods:
         for target in targets:
@@ -240,7 +247,7 @@ def strengths(
     device calibrated on another G would reach. Holes are not bridged. Raises as :func:`render_all`.
     """
     seconds, targets, methods = window_of(window, wavelet), _as_targets(targets, transfer), _as_renderers(methods)
-    placed = place(transfer, wavelet.record)
+    placed = on_record_bins(transfer, wavelet.record)
     if fixed is None:
         placed, methods = prepared(placed, methods, targets)
     out = np.empty((len(methods), len(targets)))

@@ -165,7 +165,7 @@ def _checked(frequency: FloatArray, values: ComplexArray, valid: BoolArray | Non
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class BinnedTransfer:
     """A transfer matrix on the bins of a record: ``bins.values`` (n_bins, n_out, n_in) in ``unit``.
 
     ``error`` (n_bins,) [-] is e(f) that its measurement states, NaN where that is unknown or G was not measured: what
@@ -194,7 +194,9 @@ class Placed:
         return names.index(name)
 
 
-def place(transfer: TransferMatrix, record: Record, interpolation: Interpolation | None = None) -> Placed:
+def on_record_bins(
+    transfer: TransferMatrix, record: Record, interpolation: Interpolation | None = None
+) -> BinnedTransfer:
     """``transfer`` on the bins of ``record``; raises as :func:`place_on_bins` and DataError for a wrong shape."""
     expected = (len(transfer.frequency), len(transfer.outputs), len(transfer.inputs))
     if transfer.values.shape != expected:
@@ -210,10 +212,10 @@ def place(transfer: TransferMatrix, record: Record, interpolation: Interpolation
     )
     parts = [relative_error_at(e, bins.frequency) for e in transfer.errors if e.source == "measurement"]
     error = np.linalg.norm(parts, axis=0) if parts else np.full(len(bins.index), np.nan)
-    return Placed(bins, transfer.outputs, transfer.inputs, transfer.unit, np.asarray(error))
+    return BinnedTransfer(bins, transfer.outputs, transfer.inputs, transfer.unit, np.asarray(error))
 
 
-def respond(placed: Placed, spectrum: ComplexArray) -> FloatArray:
+def respond(placed: BinnedTransfer, spectrum: ComplexArray) -> FloatArray:
     """Displacements (n_out, n_t) [m] for drive spectra (n_bins, n_in) [unit/Hz]; eq. 3 of de Vlam 2022.
 
     Entries of G that are not valid count as zero.

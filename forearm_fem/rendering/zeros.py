@@ -17,7 +17,7 @@ from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .drives import Aim, Renderer
 from .lattice import lattice_of
-from .spectrum import Placed, place, respond
+from .spectrum import BinnedTransfer, on_record_bins, respond
 from .wavelet import Wavelet, Window, window_of
 
 _MOST_SETS = 200  # tried one by one
@@ -28,7 +28,7 @@ THESIS_ACTUATORS = 4
 class ZeroRule(Protocol):
     """Chooses zero points for a target."""
 
-    def choose(self, placed: Placed, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
+    def choose(self, placed: BinnedTransfer, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
         """Names of the zero points; ``aim`` gives the drives that a set of zero points would lead to."""
 
 
@@ -41,7 +41,7 @@ class ThesisZeros:
     grid; the centre of a grid without a middle point is the one nearest to it.
     """
 
-    def choose(self, placed: Placed, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
+    def choose(self, placed: BinnedTransfer, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
         """Names of the zero points; raises GeometryError if the outputs form no rectangle."""
         grid = lattice_of(placed.outputs, "zero points by the corner rule, outputs")
         last = np.array([len(grid.rows) - 1, len(grid.columns) - 1])
@@ -54,7 +54,7 @@ class ThesisZeros:
         return tuple(chosen)
 
 
-def within_thesis(placed: Placed) -> bool:
+def within_thesis(placed: BinnedTransfer) -> bool:
     """True if G has at most the thesis' four actuators (columns known on some bin count)."""
     return int(np.count_nonzero(placed.bins.valid.any(axis=(0, 1)))) <= THESIS_ACTUATORS
 
@@ -68,7 +68,7 @@ class AutoZeros:
     beyond four free to move whatever lies between.
     """
 
-    def choose(self, placed: Placed, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
+    def choose(self, placed: BinnedTransfer, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
         """Names of the zero points."""
         if within_thesis(placed):
             try:
@@ -84,7 +84,7 @@ class FixedZeros:
 
     by_target: Mapping[str, tuple[str, ...]]
 
-    def choose(self, placed: Placed, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
+    def choose(self, placed: BinnedTransfer, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
         """Names of the zero points; raises ScenarioError for a target without any on record."""
         if target not in self.by_target:
             raise ScenarioError(f"no zero points are on record for target '{target}'")
@@ -106,12 +106,12 @@ class SearchedZeros:
     window: tuple[float, float] | None = None
     progress: Progress | None = field(default=None, repr=False, compare=False)
 
-    def choose(self, placed: Placed, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
+    def choose(self, placed: BinnedTransfer, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
         """Names of the best zero points."""
         return self.ranking(placed, target, aim)[0][0]
 
     def ranking(
-        self, placed: Placed, target: str, aim: Callable[[tuple[str, ...]], Aim]
+        self, placed: BinnedTransfer, target: str, aim: Callable[[tuple[str, ...]], Aim]
     ) -> tuple[tuple[tuple[str, ...], float], ...]:
         """The sets tried with their S, best first."""
         placed.row(target)
@@ -135,7 +135,7 @@ class SearchedZeros:
 class _Trial:
     """Sets tried for one target, with S and the area of every output."""
 
-    placed: Placed
+    placed: BinnedTransfer
     target: str
     aim: Callable[[tuple[str, ...]], Aim]
     rule: SearchedZeros
@@ -179,7 +179,9 @@ def _exchange(trial: _Trial, size: int, names: list[str]) -> None:
 Zeros = ZeroRule | tuple[str, ...]
 
 
-def chosen_zeros(zeros: Zeros, placed: Placed, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
+def chosen_zeros(
+    zeros: Zeros, placed: BinnedTransfer, target: str, aim: Callable[[tuple[str, ...]], Aim]
+) -> tuple[str, ...]:
     """Names from a rule or a list, checked: known, distinct, not the target; raises ScenarioError."""
     if not hasattr(zeros, "choose") and not isinstance(zeros, list | tuple):
         raise ScenarioError(f"zero points: expected a rule or names of outputs such as ('1', '3'), got {zeros!r}")
@@ -193,7 +195,7 @@ def chosen_zeros(zeros: Zeros, placed: Placed, target: str, aim: Callable[[tuple
     return names
 
 
-def settled_zeros(zeros: Zeros, placed: Placed, targets: Sequence[str]) -> Zeros:
+def settled_zeros(zeros: Zeros, placed: BinnedTransfer, targets: Sequence[str]) -> Zeros:
     """Zero points of ``targets`` by a rule that looks at places alone; others stay the rules that they are."""
     if not isinstance(zeros, ThesisZeros | AutoZeros):
         return zeros
@@ -226,7 +228,7 @@ class ZeroSearch:
 
 def best_zeros(
     renderer: Zeroed,
-    transfer: TransferMatrix | Placed,
+    transfer: TransferMatrix | BinnedTransfer,
     target: str,
     wavelet: Wavelet,
     *,
@@ -239,7 +241,7 @@ def best_zeros(
     S is that of the same G the drives are computed from; a set that is best on a wrong G need not be on the
     arm. Raises ScenarioError for an impossible size or an unknown target.
     """
-    placed = transfer if isinstance(transfer, Placed) else place(transfer, wavelet.record)
+    placed = transfer if isinstance(transfer, BinnedTransfer) else on_record_bins(transfer, wavelet.record)
     spectrum = wavelet.spectrum[placed.bins.index]
 
     def aim(zeros: tuple[str, ...]) -> Aim:

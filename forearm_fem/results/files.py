@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from ..errors import DataError
 from ..metrics.strength import GROUPS, seconds_of
@@ -225,12 +226,8 @@ def strength_rows(
 
 def write_signal_strength_csv(path: str | Path, rows: Iterable[StrengthRow]) -> None:
     """Write ``rows`` with every digit of S, so that reading gives the same floats."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_HEADER)
-    for r in rows:
-        writer.writerow((*r[:3], *(repr(float(s)) for s in (r.S, r.S_low, r.S_high, r.S_record)), r.window))
-    write_text(path, stream.getvalue())
+    table = pd.DataFrame(rows, columns=list(_HEADER))
+    write_text(path, str(table.to_csv(index=False, lineterminator="\n", na_rep="nan")))
 
 
 def read_signal_strength_csv(path: str | Path) -> tuple[StrengthRow, ...]:

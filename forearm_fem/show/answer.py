@@ -9,15 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..accuracy.estimates import short_verdict
 from ..metrics.strength import strength_text
 from ..ports import positions
 from ..rendering.limits import not_counted_words
 from ..scenario import Scenario
 from ..scenario.shipped import shipped_scenarios
-from ..transfer import total_error
 from .data import Results
-from .facts import _device, _grid, limb_words
+from .facts import _device, _grid, accuracy_words, capital, limb_words
 from .judge import Strengths, strengths
 from .track import track_record
 
@@ -87,15 +85,15 @@ def answer_of(results: Results, data: Strengths) -> list[str]:
         means = f"mean S {strength_text(best.mean)}" if not math.isnan(best.mean) else "mean S unknown"
         least = f", least {strength_text(best.least)} at point {best.least_at}" if best.points > 1 else ""
         which = "best method" if rest else "method"
-        said.append(f"{_capital(headline(data))}; {which} {best.method}: {means}{least}.")
+        said.append(f"{capital(headline(data))}; {which} {best.method}: {means}{least}.")
     else:
-        said.append(f"{_capital(headline(data))}: every point lies under or beside a motor.")
+        said.append(f"{capital(headline(data))}: every point lies under or beside a motor.")
     if best.open:
         said.append(f"The numerics leave open whether S is above 1 at {_named(best.open)} ({best.method}).")
     if best.unknown:
         said.append(f"S of {best.method} is unknown at {_named(best.unknown)}.")
     if left_out := not_counted(results, data):
-        said.append(f"{_capital(left_out)}.")
+        said.append(f"{capital(left_out)}.")
     return said
 
 
@@ -107,10 +105,6 @@ def not_counted(results: Results, data: Strengths) -> str:
 
 def _named(points: Sequence[str]) -> str:
     return f"point{'' if len(points) == 1 else 's'} {', '.join(points)}"
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 def subject_of(results: Results) -> str:
@@ -150,6 +144,8 @@ def interval_words(data: Strengths, m: int, t: int) -> str:
 def trust_of(results: Results, data: Strengths) -> str:
     """One line: how wrong the numerics may be, and that people differ."""
     half = half_widths(data)
+    if is_measured(results) and not np.isfinite(half).any():
+        return f"This G states no errors, so the uncertainty of S is unknown. {others_words()}"
     if np.isfinite(half).any():
         m, t = np.unravel_index(int(np.nanargmax(half)), half.shape)
         worst = float(half[m, t])
@@ -160,19 +156,16 @@ def trust_of(results: Results, data: Strengths) -> str:
         numerics = "How wrong the numerics may leave S is unknown"
         if why := results.account.signal_strength.unknown:
             numerics += f": {why}"
+    if is_measured(results):
+        return f"{numerics.replace('numerics leave', 'errors stated for G leave')}. {others_words()}"
     return f"{numerics}; {accuracy_words(results)}. {people_words(data)}"
 
 
-def accuracy_words(results: Results) -> str:
-    """The error of G beside what was asked for."""
-    sentence, total = results.account.accuracy, total_error(results.transfer.errors)
-    if not sentence:
-        return "the accuracy of G is not on record"
-    asked = f"{100 * results.scenario.accuracy:g} % asked"
-    verdict = short_verdict(sentence)
-    if math.isnan(total) or not results.transfer.errors:
-        return f"the error of G is UNKNOWN ({asked}; error sources below)"
-    return f"error of G {100 * total:.2g} % of {asked}: {verdict}"
+def others_words() -> str:
+    """Spread of people about the one arm that was measured."""
+    record = track_record()
+    return (f"S is of the arm that was measured; others differ by about a factor of {record.width:.2g} to either side. "
+            f"{record.sentence}")  # fmt: skip
 
 
 def people_words(data: Strengths) -> str:
@@ -200,7 +193,9 @@ def next_steps(results: Results, data: Strengths) -> list[tuple[str, str]]:
     folder, asked = shlex.quote(str(results.folder)), asked_of(results)
     steps = [("Explore the waves in a browser", f"forearm-fem workbench {folder}")]
     if is_measured(results):
-        steps.append(("See where a simulation differs from it", f"forearm-fem compare {folder} results/SIMULATED"))
+        steps.append(("Simulate the thesis' device, in seconds",
+                      "forearm-fem run thesis --set engine=layered --out results/simulated"))  # fmt: skip
+        steps.append(("See where the two differ", f"forearm-fem compare results/simulated {folder}"))
     elif data.arms is None:
         steps.append(("See what S people will have", f"forearm-fem predict {asked}"))
     if results.scenario.engine == "layered" and not is_measured(results):

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from .. import __version__
 from ..errors import DataError
-from ..geometry.limb.bending import with_bends
+from ..geometry.limb.tube import with_bends
 from ..geometry.mesh.files import read_mesh
 from ..geometry.mesh.tissue_mesh import TissueMesh, with_finer_skin
 from ..ports import Port, positions

@@ -65,7 +65,7 @@ def drive_levels(results: Results, target: str | None = None) -> xr.Dataset:
     chosen = target or ("5" if "5" in drives.targets else drives.targets[0])
     mean_square = np.mean(drives.values**2, axis=3).max(axis=2)
     signals = drives.values[:, drives.targets.index(chosen)]
-    keep = busy(signals.reshape(-1, signals.shape[-1]), drives.time)
+    keep = active_span(signals.reshape(-1, signals.shape[-1]), drives.time)
     unit, by_target = {"units": drives.unit}, ("method", "target")
     power = np.full(mean_square.shape, np.nan) if limits is None else mean_square / limits.resistance
     return xr.Dataset(
@@ -79,7 +79,7 @@ def drive_levels(results: Results, target: str | None = None) -> xr.Dataset:
     )  # fmt: skip
 
 
-def busy(signals: FloatArray, time: FloatArray, share: float = 0.995, least: float = 0.01) -> slice:
+def active_span(signals: FloatArray, time: FloatArray, share: float = 0.995, least: float = 0.01) -> slice:
     """The samples around t = 0 that hold ``share`` of the energy of the rows of ``signals`` (m, n_t).
 
     At least ``least`` [s] to each side.

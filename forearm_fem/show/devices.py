@@ -22,6 +22,7 @@ from ..transfer import total_error
 from ..typing import BoolArray, FloatArray
 from .answer import MethodAnswer, interval_words, method_answers, not_counted, people_words, subject_of
 from .data import Results
+from .facts import accuracy_words
 from .judge import Strengths, plot_strength_map, strengths
 from .page import Block, Page, Section, embedded
 from .style import GREY, INK, single, styled
@@ -250,7 +251,7 @@ def devices_page(found: Devices) -> Page:
         for d in found.ranked[1:] if found.shared is not None
     ]  # fmt: skip
     trust = [
-        f"{d.name}: {d.results.account.accuracy or 'no accuracy is on record'}" for d in found.devices
+        f"{d.name}: {accuracy_words(d.results)}" for d in found.devices
     ] + [people_words(first.data)]  # fmt: skip
     folders = " ".join(shlex.quote(str(d.results.folder)) for d in found.devices)
     asked = first.results.account.asked or first.results.scenario.name

@@ -8,16 +8,17 @@ from itertools import combinations
 
 import numpy as np
 
+from ..accuracy.estimates import short_verdict
 from ..metrics import condition_number, condition_summary, thesis_table
 from ..metrics.strength import GROUPS, strength_text
 from ..rendering.lattice import is_thesis_grid
 from ..rendering.limits import beyond_limits, limits_of
 from ..scenario import Scenario
 from ..scenario.device import GridPlaces, Places
-from ..transfer import entry_band_errors, size_words
+from ..transfer import entry_band_errors, total_error
 from ..typing import FloatArray
 from .data import Results
-from .judge import TABLE_ONE, Strengths, spreads, strengths, table_one, table_one_rows
+from .judge import ERRORS, TABLE_ONE, Strengths, spreads, strengths, table_one, table_one_rows
 from .page import Block
 
 _ENGINES = {"fem": "finite elements", "layered": "layered model (semi-analytic; flat, no bone)"}
@@ -41,7 +42,7 @@ def scene_block(results: Results) -> Block:
         ["grid", _grid(s, len(results.transfer.outputs))],
         ["sweep", f"{len(results.transfer.frequency)} frequencies, {results.transfer.frequency[0]:g} to "
                   f"{results.transfer.frequency[-1]:g} Hz"],
-        ["accuracy asked", f"e_band ≤ {s.accuracy:g}"],
+        ["accuracy asked", f"{100 * s.accuracy:g} % (e_band)"],
         ["keys that differ from their defaults", ", ".join(own) or "none"],
     ]  # fmt: skip
     return Block(["", ""], rows, s.description)
@@ -112,17 +113,45 @@ def mesh_block(results: Results) -> Block | None:
         rows.append(["quality (1 = regular)", f"least {facts.quality.least:.2f}, median {facts.quality.median:.2f}"])
     for r in facts.resolution:
         near, far = r.per_wavelength_near_ports, r.per_wavelength
-        rows.append([f"nodes per shear wavelength, {r.tissue}", f"{near:.1f} near the ports, {far:.1f} anywhere"])
-    return Block(["", ""], rows, "Six nodes per wavelength near the ports are a rule of thumb, not a proof.")
+        rows.append([f"nodes per shear wavelength, {r.tissue}", f"{near:.1f} near the device, {far:.1f} anywhere"])
+    return Block(["", ""], rows, "Six nodes per wavelength near the device are a rule of thumb, not a proof.")
 
 
 def errors_block(results: Results) -> Block:
-    """Estimated error of G by source, with the way it was found."""
-    rows = [[e.source, size_words(e.band), size_words(e.worst), e.method] for e in results.transfer.errors]
-    note = results.account.accuracy
+    """Estimated error of G by source, in the manual's words."""
+    rows = []
+    for e in results.transfer.errors:
+        name, how = ERRORS.get(e.source, (e.source, e.method))
+        how = how if e.known else e.method  # why it is not known
+        rows.append([name, percent(e.band), percent(e.worst), how])
     if not rows:
-        note = "G carries no error estimate."
-    return Block(["source", "e_band", "worst e(f)", "how it was estimated"], rows, note)
+        return Block([], [], "G carries no error estimate.")
+    note = (f"Shares of the largest entry of G. {capital(accuracy_words(results))}. The manual's page on errors "
+            "says what each estimate sees.")  # fmt: skip
+    return Block(["source", "whole band (e_band)", "worst frequency", "estimated by"], rows, note)
+
+
+def capital(text: str) -> str:
+    """``text`` with a capital letter first."""
+    return text[:1].upper() + text[1:]
+
+
+def percent(share: float) -> str:
+    """E.g. ``2.1 %``, ``below 0.01 %``, ``unknown``."""
+    if not math.isfinite(share):
+        return "unknown"
+    return "below 0.01 %" if share < 1e-4 else f"{100 * share:.2g} %"
+
+
+def accuracy_words(results: Results) -> str:
+    """The error of G beside what was asked for."""
+    sentence, total = results.account.accuracy, total_error(results.transfer.errors)
+    if not sentence:
+        return "the accuracy of G is not on record"
+    asked = f"{100 * results.scenario.accuracy:g} % asked"
+    if math.isnan(total) or not results.transfer.errors:
+        return f"the error of G is UNKNOWN ({asked}; error sources below)"
+    return f"error of G {percent(total)} of {asked}: {short_verdict(sentence)}"
 
 
 def matrix_block(results: Results) -> Block:
@@ -135,7 +164,7 @@ def matrix_block(results: Results) -> Block:
     error, ends = entry_band_errors(g), list[tuple[np.intp, ...]]()
     if np.isfinite(error).any():  # of the best entry and of the worst
         ends = [np.unravel_index(int(find(error)), error.shape) for find in (np.nanargmin, np.nanargmax)]
-    told = (f"{error[o, i]:.2g} ({g.outputs[o].name} ← {g.inputs[i].name})" for o, i in ends)
+    told = (f"{percent(error[o, i])} ({g.outputs[o].name} ← {g.inputs[i].name})" for o, i in ends)
     rows = [
         ["entries", f"{size.shape[1]} points × {size.shape[2]} actuators × {size.shape[0]} frequencies, {g.unit}"],
         ["largest entry", f"{1e6 * size[at]:.3g} µ{g.unit} at {g.frequency[at[0]]:g} Hz, "
@@ -218,7 +247,7 @@ def window_words(data: Strengths) -> str:
         return "over a window that the folder does not name"
     if data.window == "record":
         return "over the whole record, as in the thesis"
-    return f"over {data.window} about the wavelet's centre"
+    return f"over {data.window} about the wavelet's centre".replace("-", "\N{MINUS SIGN}")
 
 
 def by_target_block(results: Results) -> Block:
@@ -228,7 +257,7 @@ def by_target_block(results: Results) -> Block:
     holes = account.largest("holes")[0] > 0
     rows = []
     for t, target in enumerate(data.targets):
-        cells = [target]
+        cells = [target if data.counted[t] else f"({target})"]
         for m, method in enumerate(data.methods):
             low, high = data.low[m, t], data.high[m, t]
             known = np.isfinite(low) and np.isfinite(high)
@@ -243,7 +272,8 @@ def by_target_block(results: Results) -> Block:
             "Numerics: S within the errors stated for G, nine in ten of them. Arms: 5-95 % of "
             f"{data.arms['draws']} arms ({data.arms['model']}; {data.arms['left_out']}). Never add the two."
         ]
-    said += [f"{account.unknown[0].upper()}{account.unknown[1:]}."] if account.unknown else []
+    said += ["A point in brackets is not counted: under or beside a motor."] if not data.counted.all() else []
+    said += [f"{capital(account.unknown)}."] if account.unknown else []
     said += [f"S is taken {window_words(data)}."]
     edge, where = account.largest("edges")
     if where:
@@ -288,7 +318,7 @@ def _difference(group: str, method: str, ours: float, theirs: float, spread: flo
         return ""
     way = "above" if ours > theirs else "below"
     stated = error is not None and np.isfinite(error)
-    known = f"; our own interval is ± {error:.2g}" if stated else "; our own interval is unknown"
+    known = f"; our own interval is ±{max(error, 0.01):.2f}" if stated and error else "; our own interval is unknown"
     among = "one value, so its spread is unknown" if np.isnan(spread) else f"spread {spread:.2g}"
     side = " The verdict on focusing (S > 1) differs." if (ours > 1) != (theirs > 1) else ""
     return (f"{group}, {method}: {ours:.2f} here, {theirs:.2f} in the thesis ({among}); {gap / theirs:.0%} "

@@ -25,7 +25,7 @@ from ..progress import Progress, tell
 from ..store.folder import atomic_path
 from ..typing import FloatArray, IntArray
 from .data import Results
-from .motion import Motion, View, default_times, motion, nice, shown_values
+from .motion import Motion, View, default_times, motion, round_down_125, shown_values
 from .scene import (
     MM,
     NAMED,
@@ -142,7 +142,7 @@ def amplification(moved: Motion, body: Body, look: Look) -> float:
         return look.amplification
     sizes = [np.linalg.norm(moved.displacement(body.modes, k), axis=1).max() for k in range(len(moved.steps))]
     most = float(max(sizes))
-    return nice(_BULGE / (MM * most)) if most > 0 else 1.0
+    return round_down_125(_BULGE / (MM * most)) if most > 0 else 1.0
 
 
 def colour_limit(results: Results, moved: Motion, look: Look) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,20 @@ from .data import Results, places
 from .style import ACTUATORS, COLUMN, GREY, INK, PAGE, method_colour, sheet, single, styled, widen
 
 TABLE_ONE = ("place", "method", "here", "record", "thesis")  # S over the window, over the whole record, and measured
+
+
+ERRORS: Mapping[str, tuple[str, str]] = MappingProxyType({
+    "discretisation": ("mesh", "G solved again on a mesh with nodes further apart"),
+    "truncation": ("cut ends", "change of G where the ends of the modelled piece of arm are freed or clamped"),
+    "linear solve": ("linear solver", "residual of the equations solved"),
+    "reduction": ("reduced model", "difference from full solves at frequencies that it did not see"),
+    "quadrature": ("integrals of the layered model", "last terms of series and integrals"),
+    "interpolation": ("interpolation", "solves left out and found again from the others"),
+    "bridging": ("bridged holes of G", "known frequencies left out and found again from the others"),
+    "contact": ("contact on curved skin", "curvature of the skin below a cone"),
+    "measurement": ("measurement", "scatter between repeated sweeps"),
+})  # fmt: skip
+"""Sources of error as the glossary names them, and how each is estimated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,7 +328,8 @@ def plot_errors(data: xr.Dataset, *, width: int = COLUMN) -> Figure:
     figure = sheet(width, 66 + 4 * -(-data.sizes["source"] // columns))
     axes = figure.add_subplot()
     for k, (source, band) in enumerate(zip(data.source.values, data.e_band.values, strict=True)):
-        label, colour = f"{source}: {size_words(float(band), '.1g')}", ACTUATORS[k % len(ACTUATORS)]
+        name = ERRORS.get(str(source), (source,))[0]
+        label, colour = f"{name}: {size_words(float(band), '.1g')}", ACTUATORS[k % len(ACTUATORS)]
         curve = data.e[k].dropna("frequency")
         if len(curve):
             marker = "o" if len(curve) < 40 else ""

@@ -11,7 +11,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from ..metrics import condition_number, singular_values
-from ..rendering import AutoZeros, Placed
+from ..rendering import AutoZeros, BinnedTransfer
 from ..rendering.drives import Aim
 from ..rendering.spectrum import BinValues, Record
 from ..transfer import TransferMatrix, entry_errors
@@ -131,7 +131,7 @@ def conditioning_of(transfer: TransferMatrix, zeros: Mapping[str, Sequence[str]]
 def zero_points(transfer: TransferMatrix, target: str) -> tuple[str, ...]:
     """The default zero points for ``target``: the thesis' for up to four actuators on a rectangular grid, else all."""
     bins = BinValues(Record(1.0, 4), np.array([1]), transfer.values[:1], np.ones(transfer.values[:1].shape, bool))
-    placed = Placed(bins, transfer.outputs, transfer.inputs, transfer.unit, np.full(1, np.nan))
+    placed = BinnedTransfer(bins, transfer.outputs, transfer.inputs, transfer.unit, np.full(1, np.nan))
     return AutoZeros().choose(placed, target, _unused)
 
 

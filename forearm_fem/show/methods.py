@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 
 from ..errors import NotApplicable
 from ..measurement.estimators import ExponentialSweep
-from ..rendering import Record, place, respond, to_spectrum
+from ..rendering import Record, on_record_bins, respond, to_spectrum
 from ..typing import FloatArray
 from .data import Results, places
-from .device import busy
+from .device import active_span
 from .matrix import shown, unwrapped, zero_points
 from .style import ACTUATORS, COLUMN, GREY, INK, MICRO, PAGE, sheet, styled, widen
 
@@ -33,7 +33,7 @@ def method(results: Results) -> xr.Dataset:
     at = (sent.methods.index("inverse filter"), sent.targets.index(target))
     on_record = results.account.signal_strength.zeros.get("inverse filter", {}).get(target)
     controls = (target, *(on_record or zero_points(g, target)))
-    keep = busy(sent.values[at], sent.time)
+    keep = active_span(sent.values[at], sent.time)
     wanted = np.zeros((len(controls), len(sent.time)))
     wanted[0] = 1e-6 * results.scenario.rendering.amplitude * results.wavelet.samples
     sweep = ExponentialSweep.of(results.scenario)
@@ -54,7 +54,7 @@ def method(results: Results) -> xr.Dataset:
 def _response(results: Results, sweep: ExponentialSweep) -> FloatArray:
     """Motion (n_t,) [m] of the first point under the sweep on the first actuator."""
     record = Record(sweep.sample_rate, sweep.n)
-    placed = place(results.transfer, record)
+    placed = on_record_bins(results.transfer, record)
     spectrum = np.zeros((len(placed.bins.index), len(results.transfer.inputs)), dtype=complex)
     spectrum[:, 0] = to_spectrum(sweep.samples(), record)[placed.bins.index]
     return np.asarray(respond(placed, spectrum)[0])

@@ -97,11 +97,11 @@ def check_view(results: Results, view: View) -> None:
     if not results.has_field:
         missing = "mesh.vtu" if not results.has("mesh.vtu") else "wavefield.npz"
         remedy = results.remedy(missing)
-        twin = results.has("scenario.json") and results.scenario.engine == "layered"
-        if twin or (results.has("run.json") and results.run.solution.solver == "library"):
+        layered = results.has("scenario.json") and results.scenario.engine == "layered"
+        if layered or (results.has("run.json") and results.run.solution.solver == "library"):
             remedy = f"`forearm-fem workbench {results.folder}` shows its G"
-        raise DataError(f"{results.folder}: no field between the ports is known, {missing} is missing "
-                        f"(the layered twin, a library and measured G have none); {remedy}")  # fmt: skip
+        raise DataError(f"{results.folder}: no motion between the points is known, {missing} is missing "
+                        f"(the layered model, a library and measured G have none); {remedy}")  # fmt: skip
     if view.actuator is None:
         for name, known in ((view.method, results.drives.methods), (view.target, results.drives.targets)):
             if name not in known:
@@ -133,7 +133,7 @@ def shown_values(displacement: FloatArray, normals: FloatArray, quantity: Quanti
     return np.asarray(np.einsum("ij,ij->i", displacement, normals))
 
 
-def nice(value: float) -> float:
+def round_down_125(value: float) -> float:
     """The largest of 1, 2, 5 times a power of ten that does not exceed ``value``."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(max(p for p in (1, 2, 5) if p * power <= value * (1 + 1e-9)) * power)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
@@ -14,12 +15,11 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from jinja2 import Environment
+from markupsafe import Markup, escape
 from matplotlib import style
-from PIL import Image
 
 from ..store.folder import atomic_path, write_text
 from ..store.text import markdown_table
-from ..typing import IntArray
 from .style import SHEET, Drawn, arrange, figure_of, sign
 
 # The numbers of a figure as CSV beside it.
@@ -125,7 +125,9 @@ class Page:
     def html(self) -> str:
         """A self-contained page that fetches nothing."""
         source = resources.files(__package__).joinpath("page.html.j2").read_text(encoding="utf-8")
-        template = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(source)
+        environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+        environment.filters["coded"] = _coded
+        template = environment.from_string(source)
         return template.render(page=self, sections=[s for s in self.sections if s.holds])
 
     def markdown(self) -> str:
@@ -148,6 +150,11 @@ class Page:
         write_text(plain, self.markdown())
         write_text(page, self.html())
         return page, plain
+
+
+def _coded(text: str) -> Markup:
+    """``text`` escaped, what stands between backticks as code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _cell(value: Any) -> str:
@@ -174,13 +181,6 @@ def embedded(drawn: Drawn, title: str, stamp: str = "", name: str = "") -> Pictu
     with style.context(SHEET):
         figure.savefig(stream, format="png", dpi=_DPI)
     return Picture(title, _text(stream), name, round(_CSS_DPI * figure.get_figwidth()))
-
-
-def photograph(pixels: IntArray, title: str) -> Picture:
-    """An image (height, width, 3) as a picture of a page."""
-    stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, "PNG")
-    return Picture(title, _text(stream))
 
 
 def _text(stream: io.BytesIO) -> str:

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import FigureBase
+from matplotlib.figure import Figure
 
 from ..store.folder import write_text
 from .page import Block, Page, Section, as_csv, embedded
@@ -46,11 +45,11 @@ def _number(value: float | None) -> float:
 
 
 @styled
-def plot_bands(data: Mapping[str, Any], *, ax: Axes | None = None) -> FigureBase:
+def plot_bands(data: Mapping[str, Any]) -> Figure:
     """S at every target: bars span 5-95 % (thin) and 25-75 % (thick) of arms, the line is the median, the cross the
     scene itself with its numerical interval."""
     methods, targets = data["methods"], data["targets"]
-    figure = panels(ax, (6.6, 1.0 + 1.35 * len(methods)))
+    figure = panels((6.6, 1.0 + 1.35 * len(methods)))
     axes = np.atleast_1d(figure.subplots(len(methods), 1, sharex=True, sharey=True))
     for m, (axes_m, method) in enumerate(zip(axes, methods, strict=True)):
         colour = method_colour(method, methods)
@@ -79,10 +78,10 @@ def plot_bands(data: Mapping[str, Any], *, ax: Axes | None = None) -> FigureBase
 
 
 @styled
-def plot_wins(data: Mapping[str, Any], *, ax: Axes | None = None) -> FigureBase:
+def plot_wins(data: Mapping[str, Any]) -> Figure:
     """Share of arms in which each method has the largest S at a target."""
     methods, targets = data["methods"], data["targets"]
-    figure = panels(ax, (5.2, 2.4))
+    figure = panels((5.2, 2.4))
     axes = figure.subplots()
     below = np.zeros(len(targets))
     for method in methods:
@@ -104,12 +103,12 @@ def drivers_table(data: Mapping[str, Any]) -> pd.DataFrame:
 
 
 @styled
-def plot_drivers(data: Mapping[str, Any], *, ax: Axes | None = None) -> FigureBase:
+def plot_drivers(data: Mapping[str, Any]) -> Figure:
     """Rank correlation of the strongest drivers with S of each method and group."""
     columns = [(m, g) for m in data["methods"] for g in data["groups"]]
     values = np.array([[_number(d["rank"][m][g]) for m, g in columns] for d in data["drivers"]])
     strongest = np.argsort(-np.nanmax(np.abs(np.nan_to_num(values)), axis=1))[:_MOST]
-    figure = panels(ax, (1.9 + 0.42 * len(columns), 1.4 + 0.21 * len(strongest)))
+    figure = panels((1.9 + 0.42 * len(columns), 1.4 + 0.21 * len(strongest)))
     axes = figure.subplots()
     shown = axes.imshow(values[strongest], cmap=SIGNED, vmin=-1, vmax=1, aspect="auto")
     axes.set_yticks(range(len(strongest)), [data["drivers"][int(k)]["name"] for k in strongest])
@@ -255,7 +254,7 @@ def _numerics(data: Mapping[str, Any]) -> str:
         free = " ".join(f"--hold {g}" for g in ("thickness", "contact", "placement") if g not in data["held"])
         hold = f"hold what you know ({free}), or " if free else ""
         parts.append(f"This widens the bands much: {hold}ask for a finer mesh (lower accuracy or mesh sizes), or draw "
-                     "the arms on the flat twin (--twin).")  # fmt: skip
+                     "the arms on the layered model (--layered).")  # fmt: skip
     if (mesh := data["shorter_waves"]) is not None and mesh["share"]:
         parts.append(f"The mesh was made for the scene's own tissue: {mesh['share']:.0%} of the arms have shorter "
                      f"waves in some tissue, one in twenty by a factor of {mesh['factor']:.2g} or more.")  # fmt: skip

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from .. import __version__
@@ -24,7 +23,7 @@ from ..progress import Progress, tell
 from ..scenario import Scenario
 from ..scenario.limb import SlabLimb
 from ..store.folder import write_text
-from ..transfer import TransferMatrix, relative_error, size_words
+from ..transfer import TransferMatrix, relative_error
 from ..typing import FloatArray
 from . import facts
 from .answer import (
@@ -39,13 +38,13 @@ from .answer import (
 )
 from .data import Results
 from .film import plot_wavefield, wavefield
-from .judge import Strengths, plot_strength_map, strengths
+from .judge import ERRORS, Strengths, plot_strength_map, strengths
 from .motion import View
 from .page import Block, Page, Picture, Section, embedded
 from .registry import applies, kinds
 from .targets import plot_trace, target_waves
 
-# Report of a scene that renders nothing: how waves travel and decay from one contact, and the twin beside it.
+# Report of a scene that renders nothing: how waves travel and decay from one contact, and the layered model beside it.
 
 _SAME = 1e-6  # m: between the distances of two points of a line
 
@@ -65,8 +64,9 @@ def write_wave_report(
         waves = Block(["Hz", "attenuation 1/m", "speed m/s"], rows)
         blocks.append(Section("waves", "Attenuation and speed by the thesis' estimator (waves.csv)", waves))
     if isinstance(scenario.limb, SlabLimb) and scenario.device.drive == "force":
-        blocks.append(Section("layered", "Beside the layered model", _twin(scenario, transfer)))
-    errors = [[e.source, size_words(e.band), size_words(e.worst), e.method] for e in transfer.errors]
+        blocks.append(Section("layered", "Beside the layered model", _layered(scenario, transfer)))
+    errors = [[ERRORS.get(e.source, (e.source,))[0], facts.percent(e.band), facts.percent(e.worst), e.method]
+              for e in transfer.errors]  # fmt: skip
     sections = [
         *blocks,
         Section("warnings", "Warnings", bullets=list(dict.fromkeys(notes)), warn=True),
@@ -90,14 +90,11 @@ def thesis_fit(transfer: TransferMatrix, source: int = 0) -> WaveFit | None:
 
 def waves_csv(fit: WaveFit) -> str:
     """Lines ``frequency_hz,attenuation_per_m,speed_m_per_s``."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["frequency_hz", "attenuation_per_m", "speed_m_per_s"])
-    writer.writerows(zip(fit.frequency.tolist(), fit.attenuation.tolist(), fit.speed.tolist(), strict=True))
-    return stream.getvalue()
+    columns = {"frequency_hz": fit.frequency, "attenuation_per_m": fit.attenuation, "speed_m_per_s": fit.speed}
+    return str(pd.DataFrame(columns).to_csv(index=False, lineterminator="\n", na_rep="nan"))
 
 
-def _twin(scenario: Scenario, transfer: TransferMatrix) -> Block:
+def _layered(scenario: Scenario, transfer: TransferMatrix) -> Block:
     """Table of errors against the layered model: each point relative to itself, and e(f) over all but the first."""
     try:
         truth = close_loop(solve_layered(scenario, transfer.frequency), scenario.device).values
@@ -152,8 +149,8 @@ def run_page(results: Results, progress: Progress | None = None) -> Page:
     thesis = facts.strength_block(results) if beside_thesis(results) else None
     sections = [
         Section("map", "S on the skin", pictures=maps, paragraphs=[_map_words(data)]),
+        Section("trust", "Warnings", bullets=warnings, warn=True),
         Section("methods", "By method", methods_block(data)),
-        Section("trust", "How far to trust it", paragraphs=[trust_of(results, data)], bullets=warnings, warn=True),
         Section("waves", f"Waves towards point {shown_target(data)}", pictures=[*stills, *traces],
                 paragraphs=[_TRACES] if traces else [], bullets=drawn.missing),
         Section("drives", "Drives against limits", facts.renderer_block(results),
@@ -172,7 +169,8 @@ def run_page(results: Results, progress: Progress | None = None) -> Page:
         Section("provenance", "Provenance", facts.provenance_block(results), folded=True),
     ]  # fmt: skip
     title = f"{results.scenario.name}: {headline(data)}"
-    return Page(title, answer_of(results, data), sections, results.stamp, subject_of(results))
+    return Page(title, [*answer_of(results, data), trust_of(results, data)], sections, results.stamp,
+                subject_of(results))  # fmt: skip
 
 
 class _Drawn:
@@ -214,7 +212,9 @@ def methods_block(data: Strengths) -> Block:
 
 
 def _map_words(data: Strengths) -> str:
-    grey = "" if data.counted.all() else " Grey points are not counted: they move with a motor."
+    grey = "" if data.counted.all() else (
+        " Grey points lie under or beside a motor and are in no mean of S and no verdict. Their motion is part of what "
+        "a target is compared with.")  # fmt: skip
     return (f"{_MEANING}{grey} Below each point its number and how uncertain the numerics leave S, where that is "
             "±0.01 or more.")  # fmt: skip
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -144,27 +142,17 @@ def add_scale_bar(plotter: Any, at: FloatArray, *, named: bool = True) -> None:
         add_labels(plotter, np.array([(at + end) / 2 - np.array([0, 2.2, 0])]), ["10 mm"], size=15)
 
 
-def has_display() -> bool:
-    """True if a window could be opened."""
-    named = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    return os.name == "nt" or sys.platform == "darwin" or bool(named)
-
-
 @contextmanager
-def plotter_for(size: tuple[int, int], *, off_screen: bool = True) -> Iterator[Any]:
+def plotter_for(size: tuple[int, int]) -> Iterator[Any]:
     """A white plotter, closed at the end; ForearmError with a remedy where VTK can draw nothing.
 
     VTK's note that there is no X server is kept off the terminal: it then draws with EGL or OSMesa.
     """
-    if not off_screen and not has_display():
-        raise ForearmError(
-            "there is no display for a window; set DISPLAY, or keep a picture: `forearm-fem show RESULTS --save a.png`"
-        )
     before = vtkLogger.GetCurrentVerbosityCutoff()
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
     try:
         try:
-            plotter: Any = pv.Plotter(off_screen=off_screen, window_size=list(size))
+            plotter: Any = pv.Plotter(off_screen=True, window_size=list(size))
         except (RuntimeError, OSError, ImportError) as problem:
             raise ForearmError(
                 f"VTK cannot draw here ({problem}); on Debian install the packages libegl1, libgl1 and libxrender1"

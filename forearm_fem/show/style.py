@@ -12,16 +12,14 @@ from matplotlib import colormaps, style
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.figure import Figure, FigureBase, SubFigure
+from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-from ..errors import DataError
 
 # The look of every figure: style sheet, colours, canvases and the line that says where it came from.
 
 P = ParamSpec("P")
 R = TypeVar("R")
-Drawn = Axes | FigureBase
+Drawn = Axes | Figure
 
 SHEET = Path(__file__).with_name("forearm.mplstyle")
 INK, GREY, FAINT = "#222222", "#777777", "#B8B8B8"
@@ -57,23 +55,11 @@ def single(ax: Axes | None, size: tuple[float, float] = (3.5, 2.6)) -> Axes:
     return ax if ax is not None else Figure(figsize=size, layout="constrained").add_subplot()
 
 
-def panels(ax: Axes | None, size: tuple[float, float]) -> FigureBase:
-    """A new figure of ``size`` [inch], or a sub-figure in the place of ``ax`` (which disappears)."""
-    if ax is None:
-        return Figure(figsize=size, layout="constrained")
-    spec, figure = ax.get_subplotspec(), ax.figure
-    if spec is None or not isinstance(figure, Figure | SubFigure):
-        raise DataError("this figure has several panels: give it axes made by subplots(), or no ax at all")
-    ax.remove()
-    return figure.add_subfigure(spec)
-
-
 def figure_of(drawn: Drawn) -> Figure:
     """The whole figure that ``drawn`` is part of."""
-    base: Any = drawn
-    while not isinstance(base, Figure):
-        base = base.figure if isinstance(base, Axes) else base.get_figure(root=True)
-    return base
+    whole = drawn if isinstance(drawn, Figure) else drawn.get_figure(root=True)
+    assert isinstance(whole, Figure)
+    return whole
 
 
 def arrange(figure: Figure) -> None:
@@ -111,9 +97,14 @@ WIDTHS = (88, 181)  # mm: one column of a journal, and its page
 COLUMN, PAGE = WIDTHS
 
 
+def panels(size: tuple[float, float]) -> Figure:
+    """A new figure of ``size`` [inch] that belongs to no window."""
+    return Figure(figsize=size, layout="constrained")
+
+
 def sheet(width: int, height: float) -> Figure:
     """A new figure of exactly ``width`` by ``height`` [mm] that belongs to no window."""
-    return Figure(figsize=(width / 25.4, height / 25.4), layout="constrained")
+    return panels((width / 25.4, height / 25.4))
 
 
 def clear_legends(figure: Figure) -> None:

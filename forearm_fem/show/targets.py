@@ -20,7 +20,7 @@ from ..results.files import Signals
 from ..results.wavefield import Wavefield
 from ..typing import ComplexArray, FloatArray
 from .data import Results, places, record_of
-from .device import busy
+from .device import active_span
 from .patch import volar_patch
 from .style import COLUMN, FAINT, GREY, INK, MICRO, PAGE, SIGNED, method_colour, sheet, single, styled
 
@@ -50,7 +50,7 @@ def target_waves(results: Results, target: str) -> xr.Dataset:
     when = np.array([moments(moved.time, v, moved.channels.index(target)) for v in values])
     samples = np.searchsorted(moved.time, when - 1e-9)
     between = [_between(at, v[:, s].T, x, y) for v, s in zip(values, samples, strict=True)]
-    spans = [busy(v, moved.time) for v in values]
+    spans = [active_span(v, moved.time) for v in values]
     keep = slice(min(s.start for s in spans), max(s.stop for s in spans))
     metres, maps = {"units": "m"}, ("method", "instant", "y", "x")
     data = xr.Dataset(
@@ -81,7 +81,7 @@ def moments(time: FloatArray, values: FloatArray, row: int) -> FloatArray:
 
     The step is near a sixth of the span that holds 90 % of the motion, between 0.5 and 3 ms, or as large as it must be.
     """
-    keep = busy(values, time, share=0.9, least=0.0)
+    keep = active_span(values, time, share=0.9, least=0.0)
     peak = int(np.argmax(np.abs(np.nan_to_num(values[row]))))
     span = float(time[keep][-1] - time[keep][0])
     dt = float(time[1] - time[0])

@@ -19,10 +19,10 @@ from ..layered.root import trace_root
 from ..metrics import fit_waves
 from ..metrics.waves import beside
 from ..ports import Port, distances, positions
-from ..rendering import Drives, InverseFilter, Wavelet, displacements, drives, place
+from ..rendering import Drives, InverseFilter, Wavelet, displacements, drives, on_record_bins
 from ..rendering.drives import Aim
 from ..rendering.funneling import known_bins
-from ..rendering.spectrum import Placed
+from ..rendering.spectrum import BinnedTransfer
 from ..scenario import Scenario
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
@@ -103,7 +103,7 @@ def travel(results: Results) -> xr.Dataset:
     both = (aimed, _plain(g, results.wavelet, far))
     keep = np.abs(results.wavelet.time) < 0.025
     moved = [displacements(g, d).values[:, keep] for d in both]
-    spectra = [np.abs(place(g, d.record).bins.values[:, :, 0] * d.spectrum).T for d in both]
+    spectra = [np.abs(on_record_bins(g, d.record).bins.values[:, :, 0] * d.spectrum).T for d in both]
     return xr.Dataset(
         {"u": (("method", "place", "time"), np.array(moved), {"units": "m"}),
          "drive": (("method", "time"), np.array([d.signals[0][keep] for d in both]), {"units": aimed.unit}),
@@ -123,7 +123,7 @@ def _plain(g: TransferMatrix, wavelet: Wavelet, target: str) -> Drives:
 
         name = "funneling"
 
-        def aim(self, placed: Placed, target: str, wavelet: ComplexArray) -> Aim:
+        def aim(self, placed: BinnedTransfer, target: str, wavelet: ComplexArray) -> Aim:
             """The wavelet, silent where G is unknown at the target."""
             used = known_bins(placed, [placed.row(target)])
             return Aim(np.where(used, wavelet, 0)[:, None], used)

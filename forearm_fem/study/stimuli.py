@@ -28,7 +28,7 @@ from ..measurement.playback import play
 from ..rendering.bridging import bridged
 from ..rendering.drives import drives
 from ..rendering.job import renderers
-from ..rendering.spectrum import Placed, Record, place, respond, to_spectrum
+from ..rendering.spectrum import BinnedTransfer, Record, on_record_bins, respond, to_spectrum
 from ..rendering.wavelet import Wavelet
 from ..scenario import Scenario
 from ..scenario.measurement import DaqOptions
@@ -218,7 +218,7 @@ def stimuli_for(
     holes = bridged(transfer)
     if holes.left or holes.absent:
         warnings.warn(holes.sentence, AccuracyWarning, stacklevel=2)
-    placed, time = place(holes.transfer, wavelet.record), wavelet.record.time
+    placed, time = on_record_bins(holes.transfer, wavelet.record), wavelet.record.time
     kept = (time >= -options.lead) & (time <= options.tail)
     fade = scenario.measurement.daq.fade
     made: dict[Key, Stimulus] = {}
@@ -234,7 +234,7 @@ def stimuli_for(
     return _levelled(made, level, added or dict.fromkeys(made, 0.0), options, scenario)
 
 
-def _moved(placed: Placed, signals: FloatArray, kept: BoolArray, target: str, fade: float) -> Motion:
+def _moved(placed: BinnedTransfer, signals: FloatArray, kept: BoolArray, target: str, fade: float) -> Motion:
     """Motion at the target by G of the faded ``signals``."""
     record = placed.record
     whole = np.zeros((len(signals), record.n))

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..geometry.limb.filling import oriented, stack_prisms
-from ..geometry.mesh.tissue_mesh import Bends, TissueMesh
-from ..geometry.mesh.topology import EDGES, boundary_faces
+from ..geometry.mesh.tissue_mesh import EDGES, Bends, TissueMesh, boundary_faces
 from ..typing import FloatArray, IntArray
 
 FACES = ("x0", "x1", "y0", "y1", "z0", "z1")

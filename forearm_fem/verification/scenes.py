@@ -134,7 +134,7 @@ def slab_response(model: ForearmModel, frequencies: Sequence[float]) -> ComplexA
     return direct_sweep(model, np.array(frequencies), DIRECT).values[:, :, 0]
 
 
-def twin_response(scenario: Scenario, frequencies: Sequence[float], *, depth: float | None = None) -> ComplexArray:
+def layered_truth(scenario: Scenario, frequencies: Sequence[float], *, depth: float | None = None) -> ComplexArray:
     """The exact counterpart of :func:`slab_response`; a ``depth`` puts rigid ground under the core."""
     layers, base = flat_layers(scenario), "halfspace"
     if depth is not None:

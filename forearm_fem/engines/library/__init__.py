@@ -3,7 +3,7 @@ second.
 
 ``make`` makes it of two ``side``s, ``kept`` as they go, ``arm`` answers, ``store`` keeps; ``skin`` lays the skin flat,
 ``loads`` spreads forces on it, ``limb`` is what they see, ``between`` interpolates, ``flat_bells`` are loads on the
-flat twin, ``bands`` splits the band.
+layered model, ``bands`` splits the band.
 """
 
 from .arm import ArmLibrary

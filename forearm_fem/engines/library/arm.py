@@ -29,7 +29,7 @@ from ..engine import refuse_unheld
 from ..layered import flat_layers
 from ..solved import Solved
 from .between import Bands, Lattice, Prior, Shape, shape_of
-from .limb import Limb, deviation_held, held, real_product
+from .limb import ModalCompliance, constrained_compliance, deviation_held, real_product
 from .loads import flat_compliance
 from .skin import FlatSkin, flat_skin
 
@@ -42,8 +42,8 @@ _SAME = ("limb", "tissues", "supports")  # what a scenario shares with its libra
 @dataclass(frozen=True, eq=False)
 class _Part:
     """One part of the band: its ``number``, which frequencies are ``mine``, the ``weights`` (n + 2 s, m) of bells for
-    ports, then for what discs are held against, the ``flat`` twin (n_node, m, m) between these, the ``variance`` (2, m)
-    of what is interpolated, before and known."""
+    ports, then for what discs are held against, the ``flat`` layered model (n_node, m, m) between these, the
+    ``variance`` (2, m) of what is interpolated, before and known."""
 
     number: int
     mine: BoolArray
@@ -60,7 +60,7 @@ class _Asked:
     v.
     ``owner`` (m,): port of each row.
     ``way`` (m,): 0 along the normal, 1 along the skin, 2 tilt.
-    ``twin``: layered model of all m.
+    ``layered``: layered model of all m.
     """
 
     ports: tuple[Port, ...]
@@ -68,7 +68,7 @@ class _Asked:
     places: FloatArray
     owner: IntArray
     way: IntArray
-    twin: LayeredResult
+    layered: LayeredResult
     parts: tuple[_Part, ...]
 
 
@@ -76,28 +76,28 @@ class _Asked:
 class ArmLibrary:
     """Answers for any arrangement of discs on the patch of ``scenario``'s limb.
 
-    Bells of ``width`` [m] push along the normal at ``centres`` (n, 2) [m] in flat coordinates, and along u, then along
-    v, at ``sideways`` (s, 2), none but for bonded discs; ``fine`` is the limb through them, in this order, ``coarse``
-    on a second mesh whose nodes are ``ratio`` times as far apart (None where there is none), ``freed`` with free ends
-    (None where none absorb). ``flat`` (n_part, n_node, 1 or 4, n_distance) are the twin's integrals between two bells
-    at ``distances`` [m], at the nodes of :class:`Bands`; ``twin`` the twin for discs. ``spread`` (n_part, 3, n_bin) is
-    the standard deviation [m/N] of what is interpolated, by distance (``bins`` (n_bin,) [m]), in units of the prior:
-    along the normal, between it and the skin, and along the skin. ``reduction`` (3, n) are frequencies [Hz] and the
-    reduced model's e(f) there, against direct solves, along the normal and along the skin, ``missed`` (n, 3, n_bin)
-    [m/N] what it is off there by distance.
+    Gaussian loads of ``width`` [m] push along the normal at ``centres`` (n, 2) [m] in flat coordinates, and along u,
+    then along v, at ``sideways`` (s, 2), none but for bonded discs; ``fine`` is the limb through them, in this order,
+    ``coarse`` on a second mesh whose nodes are ``ratio`` times as far apart (None where there is none), ``freed`` with
+    free ends (None where none absorb). ``flat`` (n_part, n_node, 1 or 4, n_distance) are the layered model's integrals
+    between two bells at ``distances`` [m], at the nodes of :class:`Bands`; ``layered`` the layered model for discs.
+    ``spread`` (n_part, 3, n_bin) is the standard deviation [m/N] of what is interpolated, by distance (``bins``
+    (n_bin,) [m]), in units of the prior: along the normal, between it and the skin, and along the skin. ``reduction``
+    (3, n) are frequencies [Hz] and the reduced model's e(f) there, against direct solves, along the normal and along
+    the skin, ``missed`` (n, 3, n_bin) [m/N] what it is off there by distance.
     """
 
     scenario: Scenario
     centres: FloatArray
     sideways: FloatArray
     width: float
-    fine: Limb
-    coarse: Limb | None
-    freed: Limb | None
+    fine: ModalCompliance
+    coarse: ModalCompliance | None
+    freed: ModalCompliance | None
     ratio: float
     distances: FloatArray
     flat: ComplexArray
-    twin: Tabulated
+    layered: Tabulated
     bins: FloatArray
     spread: FloatArray
     reduction: FloatArray
@@ -107,7 +107,9 @@ class ArmLibrary:
     @property
     def mark(self) -> str:
         """SHA-256 of the limb's poles and what its loads see of them."""
-        seen = hashlib.sha256(self.fine.poles.tobytes() + self.fine.left.tobytes() + repr(self.twin.contact).encode())
+        seen = hashlib.sha256(
+            self.fine.poles.tobytes() + self.fine.left.tobytes() + repr(self.layered.contact).encode()
+        )
         return seen.hexdigest()[:16]
 
     @property
@@ -132,10 +134,10 @@ class ArmLibrary:
                 "narrow the sweep, or make a library for it"
             )
         cone = scenario.device.cone
-        if abs(cone.radius - self.twin.radius) > 1e-9 or cone.contact != self.twin.contact:
+        if abs(cone.radius - self.layered.radius) > 1e-9 or cone.contact != self.layered.contact:
             return (
-                f"device.cone: the library holds {self.twin.contact} discs of {self.twin.radius * 1e3:g} mm radius, "
-                f"asked for {cone.contact} ones of {cone.radius * 1e3:g} mm; make a library for these"
+                f"device.cone: the library holds {self.layered.contact} discs of {self.layered.radius * 1e3:g} mm "
+                f"radius, asked for {cone.contact} ones of {cone.radius * 1e3:g} mm; make a library for these"
             )
         return ""
 
@@ -164,41 +166,41 @@ class ArmLibrary:
         ports = self.ports(scenario)
         frequency = frequencies(scenario.sweep) if frequency is None else frequency
         places = self.skin.flat(positions(ports))
-        rigid = [i for i, port in enumerate(ports) if port.kind == "contact" and self.twin.contact != "pressure"]
+        rigid = [i for i, port in enumerate(ports) if port.kind == "contact" and self.layered.contact != "pressure"]
         ways = (1, 1, 2, 2) if len(self.sideways) else (2, 2)
         owner = np.concatenate([np.arange(len(ports)), np.tile(rigid, len(ways))]).astype(int)
         way = np.concatenate([np.zeros(len(ports)), np.repeat(ways, len(rigid))]).astype(int)
         discs = [Disc(u, v) if port.kind == "point" else Disc(u, v, port.radius, port.contact)
                  for port, (u, v) in zip(ports, places.tolist(), strict=True)]  # fmt: skip
-        twin = self.twin.compliance(2 * np.pi * frequency, discs, free=self.twin.contact != "pressure")
+        layered = self.layered.compliance(2 * np.pi * frequency, discs, free=self.layered.contact != "pressure")
         number, parts = self.bands.number(frequency), []
         for b in np.unique(number):
             weights, variance = self._weights(int(b), ports, places, rigid)
             seen = real_product(weights.T, self._flat_bells[b]) @ weights
             parts.append(_Part(int(b), number == b, weights, seen, variance))
-        return _Asked(ports, frequency, places, owner, way, twin, tuple(parts))
+        return _Asked(ports, frequency, places, owner, way, layered, tuple(parts))
 
-    def _answer(self, asked: _Asked, limb: Limb) -> tuple[Compliance, ComplexArray]:
+    def _answer(self, asked: _Asked, limb: ModalCompliance) -> tuple[Compliance, ComplexArray]:
         """C through ``limb``, and what holding the discs takes, B."""
-        free, carry = asked.twin.values.copy(), self.bands.between(asked.frequency)
+        free, carry = asked.layered.values.copy(), self.bands.between(asked.frequency)
         point = np.array([port.kind == "point" for port in asked.ports])[asked.owner]
         for part in asked.parts:
             apart = limb.between(asked.frequency[part.mine], part.weights, ~(point[:, None] & point))
             free[part.mine] += apart - np.einsum("fn,nij->fij", carry[part.mine], part.flat)
-        values, hold = held(0.5 * (free + free.swapaxes(1, 2)), len(asked.ports))
+        values, hold = constrained_compliance(0.5 * (free + free.swapaxes(1, 2)), len(asked.ports))
         return Compliance(asked.frequency, values, asked.ports), hold
 
     def _stated(self, asked: _Asked) -> Compliance:
-        """C of the finer mesh with what is stated of interpolation, twin, contacts and reduction."""
+        """C of the finer mesh with what is stated of interpolation, layered model, contacts and reduction."""
         found, hold = self._answer(asked, self.fine)
-        deviation, missed = np.zeros(asked.twin.values.shape), self._missed(asked)
+        deviation, missed = np.zeros(asked.layered.values.shape), self._missed(asked)
         for part in asked.parts:
             deviation[part.mine] = self._deviation(part, asked)
         spread, missed = deviation_held(deviation, hold), deviation_held(missed, hold)
-        bent = 0.25 * (self.twin.radius * self.skin.curvature) ** 2
+        bent = 0.25 * (self.layered.radius * self.skin.curvature) ** 2
         distance = np.linalg.norm(asked.places[:, None] - asked.places, axis=2)
         moved = moved_by_stretch(asked.ports, distance, self.skin.stretch(asked.places), self.scenario.library.step)
-        return replace(found, errors=stated_errors(found, spread, missed, asked.twin.error, bent, moved))
+        return replace(found, errors=stated_errors(found, spread, missed, asked.layered.error, bent, moved))
 
     def ports(self, scenario: Scenario) -> tuple[Port, ...]:
         """Ports of ``scenario`` on the library's skin, after all that may be refused was."""
@@ -240,17 +242,17 @@ class ArmLibrary:
         for shape in set(shapes):
             mine = [i for i, s in enumerate(shapes) if s == shape]
             weights[:, mine], variance[:, mine] = normal.weights(shape, places[mine])
-        slopes, of_slopes = normal.slopes(Shape("tilt", self.twin.radius), places[rigid])
+        slopes, of_slopes = normal.slopes(Shape("tilt", self.layered.radius), places[rigid])
         if sideways is None:
             return np.hstack([weights, slopes]), np.hstack([variance, of_slopes])
-        along, more = sideways.weights(Shape("rigid", self.twin.radius), places[rigid])
+        along, more = sideways.weights(Shape("rigid", self.layered.radius), places[rigid])
         whole = scipy.linalg.block_diag(weights, along, along)
         below = np.pad(slopes, ((0, 2 * len(self.sideways)), (0, 0)))
         return np.hstack([whole, below]), np.hstack([variance, more, more, of_slopes])
 
     @cached_property
     def _flat_bells(self) -> ComplexArray:
-        """The twin (n_part, n_node, n + 2 s, n + 2 s) between bells."""
+        """The layered model (n_part, n_node, n + 2 s, n + 2 s) between bells."""
         return flat_compliance(self.flat, self.distances, self.centres, self.sideways)
 
     def _deviation(self, part: _Part, asked: _Asked) -> FloatArray:
@@ -290,7 +292,7 @@ class ArmLibrary:
                 )
 
     def _check_none_under(self, ports: tuple[Port, ...]) -> None:
-        """Under pressed discs points do not move with them, and the twin's tables begin at the rim."""
+        """Under pressed discs points do not move with them, and the layered model's tables begin at the rim."""
         flat = self.skin.flat(positions(ports))
         for port, at in zip(ports, flat, strict=True):
             for disc, centre in zip(ports, flat, strict=True):
@@ -313,7 +315,7 @@ def library_skin(scenario: Scenario) -> FlatSkin:
     cut = isinstance(limb, SlabLimb) and bool(limb.symmetry)
     if cut or not isinstance(limb, ForearmLimb | CylinderLimb | SlabLimb):
         raise ScenarioError(
-            f"limb: a library needs a forearm, a cylinder or a whole slab, whose flat twin is known, but this is a "
+            f"limb: a library needs a forearm, a cylinder or a whole slab, whose layered model is known, but this is a "
             f"{limb.shape}{' cut by limb.symmetry' if cut else ''}; solve its arrangements one by one"
         )
     skin = parametric_skin(scenario)

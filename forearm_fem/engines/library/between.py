@@ -57,10 +57,10 @@ class Bands:
 # From loads on a lattice to any disc or point: Gaussian-process regression with a prior of waves.
 # The limb's difference from its layered model is smooth: waves no shorter than the tissues' carry it. Its
 # prior is :math:`E|\hat d(k)|^2\propto(1+k^2/\kappa^2)^{-p}` with kappa a multiple of the shortest wavenumber, for the
-# place of the source and that of the receiver alike. Bells on the lattice have the transform :math:`e^{-k^2w^2/2}`,
-# rigid discs :math:`\sin ka/ka`, the tilt of these ik times :math:`3j_1(ka)/ka`, pressure :math:`2J_1(ka)/ka`, points
-# 1: covariances between any two are one-dimensional integrals, and the regression both moves a load between lattice
-# places and changes its shape.
+# place of the source and that of the receiver alike. Gaussian loads on the lattice have the transform
+# :math:`e^{-k^2w^2/2}`, rigid discs :math:`\sin ka/ka`, the tilt of these ik times :math:`3j_1(ka)/ka`, pressure
+# :math:`2J_1(ka)/ka`, points 1: covariances between any two are one-dimensional integrals, and the regression both
+# moves a load between lattice places and changes its shape.
 
 _POWER = 4.0  # p of the prior
 _NODES = 400  # of the rule over wavenumbers
@@ -125,7 +125,8 @@ def _curve(kappa: float, one: Shape, other: Shape, farthest: float) -> CubicSpli
 
 @dataclass(frozen=True)
 class Lattice:
-    """Bells of ``shape`` at ``centres`` (n, 2) under a ``prior``, with the inverse (n, n) of their covariance."""
+    """Gaussian loads of ``shape`` at ``centres`` (n, 2) under a ``prior``, with the inverse (n, n) of their
+    covariance."""
 
     centres: FloatArray
     shape: Shape
@@ -142,7 +143,8 @@ class Lattice:
         return cls(centres, shape, prior, 0.5 * (inverse + inverse.T))
 
     def weights(self, shape: Shape, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Bells (n, k) that stand for a ``shape`` at ``places`` (k, 2); the variance there (2, k), before and known."""
+        """Gaussian loads (n, k) that stand for a ``shape`` at ``places`` (k, 2); the variance there (2, k), before and
+        known."""
         seen = self.prior.covariance(shape, self.shape, _distances(self.centres, places))
         found = self.inverse @ seen
         own = self.prior.covariance(shape, shape, np.zeros(1))[0]
@@ -150,8 +152,8 @@ class Lattice:
         return found, np.stack([np.full(len(places), own), np.minimum(known, own)])
 
     def slopes(self, shape: Shape, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Bells (n, 2 k) [1/m] that stand for the slopes, along u, then along v, of what a ``shape`` sees at ``places``
-        (k, 2); the variance there (2, 2 k) [1/m^2], before and known."""
+        """Gaussian loads (n, 2 k) [1/m] that stand for the slopes, along u, then along v, of what a ``shape`` sees at
+        ``places`` (k, 2); the variance there (2, 2 k) [1/m^2], before and known."""
         seen = np.hstack([
             self.prior.covariance(shape, self.shape, _distances(self.centres, places + way))
             - self.prior.covariance(shape, self.shape, _distances(self.centres, places - way))

@@ -18,7 +18,7 @@ from ...typing import BoolArray, ComplexArray, FloatArray, IntArray
 # A small change of the free compliance changes it by :math:`[I\;B]\,\delta C\,[I\;B]^T`.
 
 
-def held(free: ComplexArray, n: int) -> tuple[ComplexArray, ComplexArray]:
+def constrained_compliance(free: ComplexArray, n: int) -> tuple[ComplexArray, ComplexArray]:
     """Compliance (n_frequency, n, n) [m/N] where all but the first ``n`` directions of ``free`` (n_frequency, m, m) are
     held, symmetric; and B (n_frequency, n, m - n)."""
     motion = free[:, n:, :n]
@@ -44,7 +44,7 @@ _NUMBERS = 2**18  # of the residues of some poles that are held side by side: fo
 
 
 @dataclass(frozen=True, eq=False)
-class Limb:
+class ModalCompliance:
     """Compliance between bells, sum_k left_ik right_kj / (i omega - poles_k), symmetric and of a real system.
 
     ``left`` (n, k), ``right`` (k, n), ``poles`` (k,) [1/s], with each pole its conjugate.

@@ -19,7 +19,7 @@ from ...layered.integrals import Integrals, Medium
 from ...typing import ComplexArray, FloatArray, IntArray
 from .skin import FlatSkin
 
-# Bells on the limb's flat twin, along its normal and along it.
+# Gaussian loads on the limb's layered model, along its normal and along it.
 # Two bells at a distance d meet in four integrals :math:`K_q=\frac1{2\pi}\int_0^\infty k\,U\,e^{-k^2w^2}J_q(kd)\,dk`
 # over the surface compliance: U is zz, zx, and half the sum and half the difference of the compliances along and across
 # a wave (:mod:`forearm_fem.layered.discs`). With the unit vector e from the one that pushes to the one that reads,
@@ -100,7 +100,7 @@ _LEAST = 20  # points of the rule under a bell
 
 
 @dataclass(frozen=True)
-class Bells:
+class GaussianLoads:
     """Loads exp(-r^2 / 2 width^2) about ``centres`` (n, 2), flat coordinates, along ``axes`` (n, 3); ``width`` [m]."""
 
     centres: FloatArray
@@ -108,7 +108,7 @@ class Bells:
     width: float
 
 
-def bell_functionals(model: ForearmModel, skin: FlatSkin, bells: Bells) -> csr_array:
+def bell_functionals(model: ForearmModel, skin: FlatSkin, bells: GaussianLoads) -> csr_array:
     """Functionals (n, n_bell): the mean of the displacement along each bell's axis, weighted with it.
 
     A unit force on a bell loads the system with the same vector, so what is found is reciprocal.
@@ -127,7 +127,7 @@ def bell_functionals(model: ForearmModel, skin: FlatSkin, bells: Bells) -> csr_a
     return csr_array((free.data, free.indices, np.pad(free.indptr, (0, n - free.shape[0]), "edge")), (n, shape[1]))
 
 
-def _skin_rule(space: MixedSpace, skin: FlatSkin, bells: Bells) -> tuple[FloatArray, csr_array]:
+def _skin_rule(space: MixedSpace, skin: FlatSkin, bells: GaussianLoads) -> tuple[FloatArray, csr_array]:
     """Flat places (m, 2) of a rule on the skin under the bells; matrix (m, n_nodes) of its weights times the basis."""
     reference, weights = get_quadrature(RefTri, _DEGREE)
     tets, local = space.owners(_facets_under(space, skin, bells))
@@ -150,7 +150,7 @@ def _skin_rule(space: MixedSpace, skin: FlatSkin, bells: Bells) -> tuple[FloatAr
     return np.vstack(places), csr_array(matrix)
 
 
-def _facets_under(space: MixedSpace, skin: FlatSkin, bells: Bells) -> IntArray:
+def _facets_under(space: MixedSpace, skin: FlatSkin, bells: GaussianLoads) -> IntArray:
     """Facets (k, 3) of the skin with a corner near a bell, or wide enough to have one inside."""
     facets = space.mesh.facets["skin"]
     corners = skin.flat(space.mesh.points[facets.ravel()]).reshape(-1, 3, 2)
@@ -161,8 +161,8 @@ def _facets_under(space: MixedSpace, skin: FlatSkin, bells: Bells) -> IntArray:
     return np.asarray(facets[inside.any(axis=1)])
 
 
-def _weights(places: FloatArray, bells: Bells) -> csr_array:
-    """Bells (n, m) at flat ``places`` (m, 2); those off the volar skin have none."""
+def _weights(places: FloatArray, bells: GaussianLoads) -> csr_array:
+    """Gaussian loads (n, m) at flat ``places`` (m, 2); those off the volar skin have none."""
     known = np.flatnonzero(np.isfinite(places).all(axis=1))
     near = cKDTree(places[known]).query_ball_point(bells.centres, _REACH * bells.width)
     counts = np.array([len(found) for found in near])

@@ -22,9 +22,9 @@ from ...typing import ComplexArray, FloatArray
 from ..layered import flat_layers, flat_surface, kept_tables, tables_reach
 from .arm import WIDTH, ArmLibrary, library_band, library_skin
 from .between import Bands, Lattice
-from .limb import Limb
-from .loads import Bells, between_flat_bells, flat_compliance, pair_distances
-from .side import BIN, LoadedSkin, Side, solved_side
+from .limb import ModalCompliance
+from .loads import GaussianLoads, between_flat_bells, flat_compliance, pair_distances
+from .side import BIN, LoadedSkin, MeshPart, solved_side
 from .skin import FlatSkin
 
 # ``library.nc``: an arm's library as one file that can be shared.
@@ -41,13 +41,13 @@ class LibraryFile:
     centres: FloatArray = field(metadata=dims("bell uv", units="m"))
     sideways: FloatArray = field(metadata=dims("sideways_bell uv", units="m"))
     width: float
-    fine: Limb
-    coarse: Limb | None
-    freed: Limb | None
+    fine: ModalCompliance
+    coarse: ModalCompliance | None
+    freed: ModalCompliance | None
     ratio: float
     distances: FloatArray = field(metadata=dims("distance", units="m"))
     flat: ComplexArray = field(metadata=dims("part node integral distance"))
-    twin: Mapping[str, Any] = field(metadata=dims("*"))
+    layered: Mapping[str, Any] = field(metadata=dims("*"))
     radius: float
     contact: str
     bins: FloatArray = field(metadata=dims("bin", units="m"))
@@ -59,10 +59,11 @@ class LibraryFile:
 
 def save_library(path: str | Path, library: ArmLibrary) -> None:
     """Write the ``library``; DataError where that cannot be done."""
-    x, twin = library, library.twin
+    x, layered = library, library.layered
     save(path, LibraryFile(
         x.scenario.model_dump(mode="json"), x.centres, x.sideways, x.width, x.fine, x.coarse, x.freed, x.ratio,
-        x.distances, x.flat, twin.arrays(), twin.radius, twin.contact, x.bins, x.spread, x.reduction, x.missed, x.facts,
+        x.distances, x.flat, layered.arrays(), layered.radius, layered.contact, x.bins, x.spread, x.reduction,
+        x.missed, x.facts,
     ))  # fmt: skip
 
 
@@ -75,14 +76,14 @@ def load_library(path: str | Path) -> ArmLibrary:
     """Read what :func:`save_library` wrote; DataError for a missing, damaged or outdated file."""
     x = load(path, LibraryFile)
     scenario = parse_scenario(x.scenario, origin=str(path))
-    twin = from_arrays(x.twin, flat_layers(scenario), flat_surface(scenario.tissues), x.radius, x.contact)
+    layered = from_arrays(x.layered, flat_layers(scenario), flat_surface(scenario.tissues), x.radius, x.contact)
     return ArmLibrary(
-        scenario, x.centres, x.sideways, x.width, x.fine, x.coarse, x.freed, x.ratio, x.distances, x.flat, twin, x.bins,
-        x.spread, x.reduction, x.missed, x.facts,
+        scenario, x.centres, x.sideways, x.width, x.fine, x.coarse, x.freed, x.ratio, x.distances, x.flat, layered,
+        x.bins, x.spread, x.reduction, x.missed, x.facts,
     )  # fmt: skip
 
 
-# One long run per arm: mesh, one factorisation, a space for all loads on the patch, and the flat twin's tables.
+# One long run per arm: mesh, one factorisation, a space for all loads on the patch, and the layered model's tables.
 
 COARSER = 2.0  # size ratio of the second mesh
 _DISC = 8e-3  # [m] radius of the one contact that the mesh is made around
@@ -115,16 +116,16 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
     distances, bands = pair_distances(centres), Bands.of(*library_band(scenario))
     medium = Medium(tuple(flat_layers(scenario)), "halfspace", flat_surface(scenario.tissues))
     flat = between_flat_bells(medium, bands.nodes.ravel(), width, distances, sideways=len(sideways) > 0)
-    twin = kept_tables(scenario, tables_reach(float(distances[-1])), progress=progress)
+    layered = kept_tables(scenario, tables_reach(float(distances[-1])), progress=progress)
     library = ArmLibrary(
         scenario, centres, sideways, width, fine.limb, coarse.limb if coarse else None, fine.freed, COARSER,
-        distances, flat.reshape(*bands.nodes.shape, *flat.shape[1:]), twin, loaded.bins, np.zeros((0, 3, 0)),
+        distances, flat.reshape(*bands.nodes.shape, *flat.shape[1:]), layered, loaded.bins, np.zeros((0, 3, 0)),
         fine.reduction, fine.missed, {**fine.facts, "seconds": time.monotonic() - began},
     )  # fmt: skip
     return _judged(library)
 
 
-def _seconds(side: Side | None) -> float:
+def _seconds(side: MeshPart | None) -> float:
     """Seconds that a part took, over all calls that made it."""
     return 0.0 if side is None else sum(s for name, s in side.facts.items() if name.startswith("seconds_"))
 
@@ -150,7 +151,7 @@ def loaded_skin(scenario: Scenario) -> LoadedSkin:
     """All loads: along the normal, then along u, then along v."""
     skin, centres, sideways = library_skin(scenario), normal_lattice(scenario), sideways_lattice(scenario)
     axes = np.concatenate([skin.places(centres)[1], *skin.tangents(sideways)])
-    bells = Bells(np.vstack([centres, sideways, sideways]), axes, WIDTH * scenario.library.step)
+    bells = GaussianLoads(np.vstack([centres, sideways, sideways]), axes, WIDTH * scenario.library.step)
     return LoadedSkin(skin, bells, len(centres))
 
 
@@ -189,7 +190,7 @@ def meshed_scenario(scenario: Scenario, skin: FlatSkin) -> Scenario:
     return parse_scenario({**data, "device": device, "grid": {"points": places.tolist()}, "rendering": rendering})
 
 
-def _second_side(meshed: Scenario, loaded: LoadedSkin, base: Path, progress: Progress | None) -> Side | None:
+def _second_side(meshed: Scenario, loaded: LoadedSkin, base: Path, progress: Progress | None) -> MeshPart | None:
     """The second mesh's part; None where none was asked for or could be made."""
     if not meshed.solver.discretisation_estimate:
         return None

@@ -31,8 +31,8 @@ from ...store.text import digest_of
 from ...typing import FloatArray, IntArray
 from ...user_cache import default_cache_dir
 from ..fem import fem_model
-from .limb import Limb
-from .loads import Bells, bell_functionals
+from .limb import ModalCompliance
+from .loads import GaussianLoads, bell_functionals
 from .skin import FlatSkin
 
 _MAKING = 5  # raise when the same question would give another part
@@ -51,7 +51,7 @@ class LoadedSkin:
     """The ``bells`` on a limb's ``skin`` laid flat, the first ``normal`` of them along its normal, others along it."""
 
     skin: FlatSkin
-    bells: Bells
+    bells: GaussianLoads
     normal: int
 
     @property
@@ -74,7 +74,7 @@ class LoadedSkin:
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class MeshPart:
     """One mesh's part: the limb through the bells, with free ends where it has absorbing ones, ``reduction`` (3, n),
     frequencies [Hz] and the reduced model's errors there along the normal and along the skin, ``missed`` (n, 3, n_bin)
     [m/N], what they are by distance, and facts."""
@@ -82,15 +82,15 @@ class Side:
     kind: ClassVar[str] = "part of a library"
     version: ClassVar[int] = 1
 
-    limb: Limb
-    freed: Limb | None
+    limb: ModalCompliance
+    freed: ModalCompliance | None
     reduction: FloatArray = field(metadata=dims("frequency_and_errors checked"))
     missed: FloatArray = field(metadata=dims("checked direction bin"))
     facts: Mapping[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
-class Progressed:
+class SpaceState:
     """The space of the first ``done`` loads: ``reduced`` with its ``functionals`` (r, n_bell), made by ``solves``."""
 
     reduced: ReducedModel
@@ -107,7 +107,7 @@ class _Space:
         self._shelf = Shelf(file, "what was solved for the library")
         self.remove = self._shelf.remove
 
-    def progressed(self, start: Progressed) -> Progressed:
+    def progressed(self, start: SpaceState) -> SpaceState:
         """Last state kept; ``start``, the empty space, where nothing was kept."""
         if (data := self._shelf.get("space")) is None:
             return start
@@ -120,9 +120,9 @@ class _Space:
             start.reduced, matrices=data["matrices"], functionals=np.zeros((size, 0)), basis=Basis(blocks),
             low=np.zeros((size, 0)), coupling=data["coupling"],
         )  # fmt: skip
-        return Progressed(reduced, data["functionals"], data["done"], data["solves"], data["seconds"])
+        return SpaceState(reduced, data["functionals"], data["done"], data["solves"], data["seconds"])
 
-    def keep(self, state: Progressed) -> None:
+    def keep(self, state: SpaceState) -> None:
         """Keep how far it got; the space's last block is new."""
         blocks, reduced = state.reduced.basis.blocks, state.reduced
         if self._shelf.put(f"columns-{len(blocks) - 1}", {"columns": blocks[-1]}):
@@ -134,7 +134,7 @@ class _Space:
 
 def solved_side(
     meshed: Scenario, loaded: LoadedSkin, base: Path, scale: float = 1.0, progress: Progress | None = None
-) -> Side:
+) -> MeshPart:
     """The part of the mesh of ``meshed`` with sizes times ``scale``; only at scale 1 with freed ends and an error.
 
     What is done is kept in the cache, and found there.
@@ -144,7 +144,7 @@ def solved_side(
     frequency = frequencies(meshed.sweep)
     home, key = default_cache_dir() / "library-parts", _key(meshed, mesh.digest, loaded, scale)
     shelf, kept = Shelf(home / f"{key}.sqlite", "a part of the library"), _Space(home / f"{key}-space.sqlite")
-    if (found := shelf.record("side", Side)) is not None:
+    if (found := shelf.record("side", MeshPart)) is not None:
         return found
     tell(progress, "assembly", 0, 1)
     model = fem_model(meshed, mesh)
@@ -176,12 +176,12 @@ def _spanned(
     frequency: FloatArray,
     kept: _Space,
     progress: Progress | None,
-) -> Progressed:
+) -> SpaceState:
     """The limb in the space of all loads, each an output, too; batch by batch, from where it was left."""
     assert all(is_polynomial(t.coefficient) for t in model.operator.terms)
     bare = replace(model, ports=(), functionals=np.zeros((model.operator.n, 0)), shares=np.zeros(0))
     total = seen.shape[1]
-    state = kept.progressed(Progressed(empty_model(bare), np.zeros((0, total)), 0, 0, 0.0))
+    state = kept.progressed(SpaceState(empty_model(bare), np.zeros((0, total)), 0, 0, 0.0))
     tell(progress, "loads on the patch", state.done, total)
     if state.done == total:
         return _without_columns(state)
@@ -201,14 +201,14 @@ def _spanned(
             reduced = with_columns(reduced, bare, block, np.zeros((reduced.size + block.shape[1], 0)))
             functionals = np.vstack([functionals, np.asarray(seen.T @ block).T.astype(float)])
         solves = state.solves + space.solves - before
-        state = Progressed(reduced, functionals, done, solves, time.monotonic() - began)
+        state = SpaceState(reduced, functionals, done, solves, time.monotonic() - began)
         kept.keep(state)
         tell(progress, "loads on the patch", state.done, total)
     solver.factor.release()
     return _without_columns(state)
 
 
-def _without_columns(state: Progressed) -> Progressed:
+def _without_columns(state: SpaceState) -> SpaceState:
     """State that poles follow from, without its columns: they are gigabytes, and direct solves come next."""
     return replace(state, reduced=replace(state.reduced, basis=Basis()))
 
@@ -217,13 +217,13 @@ def _finished(
     meshed: Scenario,
     model: ForearmModel,
     seen: csr_array,
-    state: Progressed,
+    state: SpaceState,
     loaded: LoadedSkin,
     frequency: FloatArray,
     *,
     whole: bool,
     progress: Progress | None,
-) -> Side:
+) -> MeshPart:
     """Poles and residues, those with free ends, and the error against direct solves."""
     reduced = replace(state.reduced, functionals=state.functionals, shares=np.ones(seen.shape[1]))
     names = [n for n in reduced.names if n.startswith("dashpots")] if whole else []
@@ -244,16 +244,16 @@ def _finished(
         "loads": seen.shape[1], "size": reduced.size, "solves": state.solves, "unknowns": model.operator.n,
         "seconds_loads": state.seconds, "seconds_poles": poles, "seconds_check": time.monotonic() - began - poles,
     }  # fmt: skip
-    return Side(limb, freed, np.stack([checked, *off]), missed, facts)
+    return MeshPart(limb, freed, np.stack([checked, *off]), missed, facts)
 
 
-def _poles(reduced: ReducedModel, frequency: FloatArray) -> Limb:
+def _poles(reduced: ReducedModel, frequency: FloatArray) -> ModalCompliance:
     found = pole_residue(reduced, frequency)
     if found is None:
         raise SolverError(
             "the poles of the library's reduced model are inaccurate; choose a larger library.step, or another band"
         )
-    return Limb(found.poles, found.left, found.right)
+    return ModalCompliance(found.poles, found.left, found.right)
 
 
 def _checked(frequency: FloatArray) -> FloatArray:
@@ -265,7 +265,7 @@ def _reduction_error(
     meshed: Scenario,
     model: ForearmModel,
     seen: csr_array,
-    limb: Limb,
+    limb: ModalCompliance,
     loaded: LoadedSkin,
     frequency: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""The volar skin laid flat: lengths along it, in which the limb and its flat twin are compared."""
+"""The volar skin laid flat: lengths along it, in which the limb and its layered model are compared."""
 
 from __future__ import annotations
 

@@ -11,8 +11,7 @@ from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTri
 
 from ...errors import GeometryError
-from ...geometry.mesh.tissue_mesh import DOWN
-from ...geometry.mesh.topology import keys, triangle_normals
+from ...geometry.mesh.tissue_mesh import DOWN, keys, triangle_normals
 from ...ports import Port
 from ...typing import BoolArray, FloatArray, IntArray
 from ..space.numbering import CUBIC_EDGES, CUBIC_FACES, MixedSpace, facet_points, tabulate

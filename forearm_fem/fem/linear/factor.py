@@ -196,7 +196,7 @@ class SuperLUFactor:
         self._lu = None
 
 
-class CautiousFactor:
+class FallbackFactor:
     """The multifrontal factorisation, replaced by PARDISO with matching once it was not accurate enough."""
 
     def __init__(self, upper: csr_array, n_displacements: int, order: IntArray) -> None:
@@ -310,7 +310,7 @@ def make_factor(
     order = None if matching else nested_dissection(upper, operator.n_displacements)
     small = order is None and backend == "auto" and pardiso.mkl_library() is not None
     if chosen == "multifrontal" and not small:
-        return CautiousFactor(upper, operator.n_displacements, np.arange(operator.n) if order is None else order)
+        return FallbackFactor(upper, operator.n_displacements, np.arange(operator.n) if order is None else order)
     return pardiso.PardisoFactor(upper, order, single=single, matching=matching)
 
 

@@ -98,7 +98,7 @@ class Snapshots:
 
 
 @dataclass(frozen=True)
-class Made:
+class ReducedSweepState:
     """A reduced model and what it was made from: a ``rate`` [1/s] with so many ``derivatives``, and ``expansions``.
 
     These come without their vectors. ``sharp`` says that resonances were, and are, not trusted without a bound at every
@@ -114,12 +114,12 @@ class Made:
     solve_error: float = 0.0
     sharp: bool = False
 
-    def with_certificate(self, certificate: Certificate) -> Made:
+    def with_certificate(self, certificate: Certificate) -> ReducedSweepState:
         """The same after a comparison; what rounding may have done to its truth is an error of solves."""
         worst = max(self.solve_error, certificate.rounding)
         return replace(self, certificates=(*self.certificates, certificate), solve_error=worst)
 
-    def after(self, solved: Expansion) -> Made:
+    def after(self, solved: Expansion) -> ReducedSweepState:
         """The same with the errors of further solves."""
         worst, error = max(self.residual, solved.residual), max(self.solve_error, solved.solve_error)
         return replace(self, residual=worst, solve_error=error)
@@ -145,7 +145,7 @@ class Expander:
         error = self._ready(frequency).solve_error(solution)
         return Expansion(frequency, (solution.values,), solution.residual, error)
 
-    def foreseen(self, made: Made, at: Doubt, tolerance: float) -> Certificate | None:
+    def foreseen(self, made: ReducedSweepState, at: Doubt, tolerance: float) -> Certificate | None:
         """A certificate by the residual of a model about a rate, without another factorisation; None where it would
         not pass, or is not enough: as in :meth:`compared`, and where an unknown resonance could do much."""
         if self._space is None or at.wary or tolerance < ROUNDED:
@@ -158,7 +158,7 @@ class Expander:
         certificate = Certificate(at.frequency, _TWICE * found.error, at.change, rounding=found.rounding, by="residual")
         return certificate if certificate.bound <= tolerance and found.bound <= DOUBTFUL else None
 
-    def compared(self, made: Made, at: Doubt, tolerance: float) -> Certificate | None:
+    def compared(self, made: ReducedSweepState, at: Doubt, tolerance: float) -> Certificate | None:
         """A certificate by elimination alone, which keeps no factors; None where it would not pass, or is not enough.
 
         That is where all changes are stated, where the tolerance is near to what rounding leaves, and with solvers that
@@ -187,22 +187,24 @@ class Expander:
         self._store.put(result)
         return result
 
-    def extended(self, made: Made, frequency: float, start: Expansion | None = None) -> Made:
+    def extended(self, made: ReducedSweepState, frequency: float, start: Expansion | None = None) -> ReducedSweepState:
         """``made`` with an expansion about ``frequency``."""
         expansion = self.expand(frequency, start)
         reduced = extend(made.reduced, self.model, expansion.series, self.orders)
         noted = (*made.expansions, replace(expansion, series=()))
         return replace(made, reduced=reduced, expansions=noted).after(expansion)
 
-    def about_frequencies(self, planned: Sequence[float], progress: Progress | None) -> Made:
+    def about_frequencies(self, planned: Sequence[float], progress: Progress | None) -> ReducedSweepState:
         """The model expanded about the ``planned`` frequencies."""
-        made = Made(empty_model(self.model))
+        made = ReducedSweepState(empty_model(self.model))
         for i, f in enumerate(planned):
             made = self.extended(made, f)
             tell(progress, "expansion frequencies", i + 1, len(planned))
         return made
 
-    def about_rate(self, frequency: FloatArray, tolerance: float | None, progress: Progress | None) -> Made | None:
+    def about_rate(
+        self, frequency: FloatArray, tolerance: float | None, progress: Progress | None
+    ) -> ReducedSweepState | None:
         """The model on derivatives about :func:`expansion_rate`, as many as are needed.
 
         That is until the last five change nothing above ``tolerance``, all that are allowed where it is None. Where
@@ -233,9 +235,11 @@ class Expander:
                     break
                 if change > DOUBTFUL and derivatives >= _SLOW:
                     return self._about_rate_with_care(frequency, _SURE * tolerance, progress)
-        return Made(reduced, rate, derivatives, residual=space.residual)
+        return ReducedSweepState(reduced, rate, derivatives, residual=space.residual)
 
-    def _about_rate_with_care(self, frequency: FloatArray, wanted: float, progress: Progress | None) -> Made | None:
+    def _about_rate_with_care(
+        self, frequency: FloatArray, wanted: float, progress: Progress | None
+    ) -> ReducedSweepState | None:
         """The model about the rate where resonances are sharp, in double precision from the start.
 
         What single-precision solves leave is magnified by the resonances: in double precision half the derivatives
@@ -256,10 +260,12 @@ class Expander:
             tell(progress, "derivatives", chunk.derivatives, chunk.derivatives)
             if chunk.derivatives >= _AT_LEAST:
                 change = largest_change(self.model, reduced, reduced.lower(), frequency)
-        made = Made(reduced, expansion_rate(frequency), space.derivatives, residual=space.residual, sharp=True)
+        made = ReducedSweepState(
+            reduced, expansion_rate(frequency), space.derivatives, residual=space.residual, sharp=True
+        )
         return made if change <= wanted else None
 
-    def most_doubtful(self, made: Made, frequency: FloatArray) -> Doubt | None:
+    def most_doubtful(self, made: ReducedSweepState, frequency: FloatArray) -> Doubt | None:
         """Next frequency to certify; None where every bin was compared or expanded about.
 
         Where resonances are sharp it is the bin with the largest bound. Models of incompressible tissue keep each

@@ -25,7 +25,7 @@ from .reduced_model import ReducedModel, empty_model, with_last_columns
 # The space of :mod:`.united` as it grows, and what of it is kept between calls.
 
 Coefficients = tuple[Coefficient, ...]  # one of each term: what a draw is to the operator
-Place = tuple[int, float]  # a draw's number and a frequency [Hz]
+Sample = tuple[int, float]  # a draw's number and a frequency [Hz]
 _POINTS = 0.1  # what a point's state counts beside a contact's: errors of G are products of the two
 _DROP = 1e-2  # of a solution's length: the error of C is the product of two of these
 _SPACE = "space"
@@ -98,7 +98,7 @@ class Growing:
         solved = {t.draw for t in self.trials}
         return [d for d in range(len(self._draws)) if d not in solved] or list(range(len(self._draws)))
 
-    def extended_where_worst(self, places: Sequence[Place], of_contacts: int, of_points: int, *, early: bool) -> None:
+    def greedy_step(self, places: Sequence[Sample], of_contacts: int, of_points: int, *, early: bool) -> None:
         """The trial at the place with the largest estimate, whose solution then belongs to the space, with so many
         derivatives by frequency."""
         found = []
@@ -117,7 +117,7 @@ class Growing:
         strong = [k < of_contacts or not of_contacts for k in range(len(series))]
         self._added([real_columns([columns]) for columns in series], strong, early)
 
-    def errors(self, whole: ComplexArray, core: ComplexArray, place: Place) -> tuple[float, float]:
+    def errors(self, whole: ComplexArray, core: ComplexArray, place: Sample) -> tuple[float, float]:
         """Estimated and true e(f) of compliances (n_port, n_port) that a model and its core have for a place."""
         rows, columns = watched(self._model)
         solution = self._of(self._draws[place[0]]).at(place[1], columns).values
@@ -126,7 +126,7 @@ class Growing:
         true = float(relative_error(whole[block][None], np.asarray(truth, dtype=complex)[None])[0])
         return self._difference(core, whole), true
 
-    def states(self, places: Sequence[Place]) -> list[ComplexArray]:
+    def states(self, places: Sequence[Sample]) -> list[ComplexArray]:
         """Reduced solutions (r, n_port) at each place."""
         drawn = (replace(self.reduced, coefficients=self._draws[draw]) for draw, _ in places)
         return [np.asarray(quick_state(reduced, f)) for reduced, (_, f) in zip(drawn, places, strict=True)]
@@ -141,7 +141,7 @@ class Growing:
         directions = self._principal([x[chosen] for x in shaping])[:, :most]
         return on_directions(part_of(self._read(), self._early), directions)
 
-    def misfit(self, small: ReducedModel, places: Sequence[Place], states: Sequence[ComplexArray]) -> float:
+    def misfit(self, small: ReducedModel, places: Sequence[Sample], states: Sequence[ComplexArray]) -> float:
         """Root of the mean square of e(f) of a smaller model at ``places``, against the ``states`` of this one."""
         drawn = [quick_compliance(replace(small, coefficients=self._draws[d]), np.array([f]))[0] for d, f in places]
         truth = [(self.reduced.functionals.T @ x) * self._model.shares for x in states]
@@ -364,7 +364,7 @@ def _grow(work: Growing, step: int, frequency: FloatArray, growth: Growth) -> No
         thirds, turn = np.array_split(frequency, min(_THIRDS, len(frequency))), place - low_ones
         part, most = thirds[-1 - turn % 2 % len(thirds)], growth.of_contacts
     places = [(fresh[d], f) for d, f in _places(rng, len(fresh), part, _LOOKED_AT)]
-    work.extended_where_worst(places, min(most, growth.of_contacts), min(most, growth.of_points), early=early)
+    work.greedy_step(places, min(most, growth.of_contacts), min(most, growth.of_points), early=early)
 
 
 def _made_piece(work: Growing, kept: Shelf, number: int, part: FloatArray, draws: int, growth: Growth) -> Piece:
@@ -399,7 +399,7 @@ def _read_piece(kept: Shelf, model: ForearmModel, number: int) -> Piece | None:
 
 
 def _made_check(
-    work: Growing, kept: Shelf, number: int, place: Place, piece: Piece, draws: Sequence[Coefficients]
+    work: Growing, kept: Shelf, number: int, place: Sample, piece: Piece, draws: Sequence[Coefficients]
 ) -> TrialSolve:
     """Answer of a finished ``piece`` at a place, against a direct solution."""
     whole, core = piece.change(draws[place[0]], place[1])
@@ -429,7 +429,7 @@ def piece_at(pieces: Sequence[Piece], frequency: float) -> Piece:
     return next((p for p in pieces if frequency <= p.high), pieces[-1])
 
 
-def _places(rng: np.random.Generator, draws: int, frequency: FloatArray, count: int) -> list[Place]:
+def _places(rng: np.random.Generator, draws: int, frequency: FloatArray, count: int) -> list[Sample]:
     """Random draws, each as often as the others, at bins that are dense in the square root of the frequency."""
     order = np.concatenate([rng.permutation(draws) for _ in range(1 + count // draws)])[:count]
     wanted = rng.uniform(np.sqrt(frequency[0]), np.sqrt(frequency[-1]), count) ** 2

@@ -15,7 +15,7 @@ from ...typing import ComplexArray, FloatArray
 from ..assembly.model import ForearmModel
 from ..linear.direct import ENOUGH, make_solver
 from .certificate import Certificate, certified, error_at, largest_change
-from .expansion import Expander, Made, Snapshots, expansion_frequencies, starts_from_rate
+from .expansion import Expander, ReducedSweepState, Snapshots, expansion_frequencies, starts_from_rate
 from .poles import Modes, compressed, pole_residue
 from .reduced_model import ReducedModel
 from .widening import widened
@@ -160,12 +160,12 @@ def _refuse_lossless(model: ForearmModel, frequency: FloatArray) -> None:
 
 def _certified(
     work: Expander,
-    begun: Made,
+    begun: ReducedSweepState,
     frequency: FloatArray,
     options: ReducedSolve,
     tolerance: float,
     progress: Progress | None,
-) -> Made:
+) -> ReducedSweepState:
     """``begun`` with certificates, and with further expansions until these are good enough or no more are allowed.
 
     Nor are there more where the model does not reproduce what it was extended by: another would not mend that.
@@ -192,7 +192,7 @@ def _certified(
         made = work.extended(made, worst.frequency, truth)
 
 
-def _swept(model: ForearmModel, made: Made, frequency: FloatArray, tolerance: float | None) -> SweepResult:
+def _swept(model: ForearmModel, made: ReducedSweepState, frequency: FloatArray, tolerance: float | None) -> SweepResult:
     wary = made.sharp or any(c.wary for c in made.certificates)
     small, change = made.reduced, 0.0
     if not wary and not made.rate:  # derivatives about a rate are few enough, and hold for other moduli too

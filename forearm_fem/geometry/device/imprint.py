@@ -11,8 +11,7 @@ from ...errors import MeshError
 from ...ports import Port
 from ...typing import FloatArray, IntArray
 from ..mesh.refinement import independent, onto_circle, split_edges
-from ..mesh.tissue_mesh import TissueMesh
-from ..mesh.topology import SIDES, edge_lengths, edges_of
+from ..mesh.tissue_mesh import SIDES, TissueMesh, edge_lengths, edges_of
 from .place import from_axis, near
 
 Lift = Callable[[FloatArray], FloatArray]

@@ -18,8 +18,7 @@ from ...typing import BoolArray, FloatArray, IntArray
 from ..limb.slab import check_slab
 from ..limb.tube import Tube, tube_of
 from ..mesh.refinement import rim_edges
-from ..mesh.tissue_mesh import TissueMesh, meeting
-from ..mesh.topology import edge_lengths, triangle_normals
+from ..mesh.tissue_mesh import TissueMesh, edge_lengths, meeting, triangle_normals
 from .layout import layout_of, turned
 
 # Landing points on the skin of a limb known only by its facets.

@@ -14,8 +14,7 @@ from ...ports import Port
 from ...scenario import Scenario
 from ...scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
 from ...typing import BoolArray, FloatArray, IntArray
-from ..mesh.tissue_mesh import TissueMesh
-from ..mesh.topology import EDGES, SIDES, edge_lengths, edges_of
+from ..mesh.tissue_mesh import EDGES, SIDES, TissueMesh, edge_lengths, edges_of
 from .layout import RIGID, Layout, layers_of
 
 # The part of a mesh that waves pass on their way from contacts to points, and the order of elements there.

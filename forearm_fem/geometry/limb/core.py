@@ -11,8 +11,7 @@ from ...errors import MeshError
 from ...typing import BoolArray, FloatArray, IntArray
 from ..device.layout import Layout
 from ..device.sizing import Sizes
-from ..mesh.tissue_mesh import DOWN, TissueMesh
-from ..mesh.topology import SIDES, boundary_faces, edges_of, triangle_normals
+from ..mesh.tissue_mesh import DOWN, SIDES, TissueMesh, boundary_faces, edges_of, triangle_normals
 from .filling import Shell, fill, oriented, stack_prisms
 from .planar import Rectangle, triangulate
 from .tube import BoneAxis, Tube

@@ -11,7 +11,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from ...errors import MeshError
 from ...typing import BoolArray, FloatArray, IntArray
-from ..mesh.topology import EDGES, boundary_faces, edges_of, mean_ratios
+from ..mesh.tissue_mesh import EDGES, boundary_faces, edges_of, mean_ratios
 from .planar import spring_forces
 
 # Prisms standing on a triangulation, cut into tetrahedra so that neighbours fit.

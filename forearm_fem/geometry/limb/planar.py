@@ -10,7 +10,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from ...errors import MeshError
 from ...typing import BoolArray, FloatArray, IntArray
-from ..mesh.topology import SIDES, edges_of
+from ..mesh.tissue_mesh import SIDES, edges_of
 
 # Forces of springs along the edges of a mesh, in the plane or in space (Persson and Strang 2004).
 

@@ -9,8 +9,7 @@ from ...scenario.limb import SlabLimb
 from ...typing import FloatArray
 from ..device.layout import Layout
 from ..device.sizing import SizeField
-from ..mesh.tissue_mesh import TissueMesh
-from ..mesh.topology import boundary_faces
+from ..mesh.tissue_mesh import TissueMesh, boundary_faces
 from .filling import oriented, stack_prisms
 from .planar import Rectangle, triangulate
 

@@ -12,8 +12,19 @@ from ...errors import MeshError, MeshTooLarge
 from ...ports import Port, positions
 from ...typing import FloatArray
 from ..device.sizing import tetrahedron_orders
-from .tissue_mesh import TissueMesh, true_volumes
-from .topology import EDGES, FACES, SIDES, edge_lengths, edges_of, is_member, keys, mean_ratios, pieces
+from .tissue_mesh import (
+    EDGES,
+    FACES,
+    SIDES,
+    TissueMesh,
+    edge_lengths,
+    edges_of,
+    is_member,
+    keys,
+    mean_ratios,
+    pieces,
+    true_volumes,
+)
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from scipy.spatial import cKDTree
 from ...errors import MeshError
 from ...ports import Port
 from ...typing import BoolArray, FloatArray, IntArray
-from .tissue_mesh import TissueMesh
-from .topology import EDGES, SIDES, edge_lengths, edges_of, is_member, keys
+from .tissue_mesh import EDGES, SIDES, TissueMesh, edge_lengths, edges_of, is_member, keys
 
 Middle = Callable[[TissueMesh, IntArray], FloatArray]
 _RIM_GRADING = 1.0  # size grows by this per metre away from a rim

@@ -11,8 +11,16 @@ from ...errors import GeometryError, MeshError
 from ...typing import BoolArray, FloatArray, IntArray
 from ..device.layout import Layout
 from ..limb.core import underside
-from ..mesh.tissue_mesh import TissueMesh, meeting
-from ..mesh.topology import SIDES, boundary_faces, edge_lengths, is_member, pieces, triangle_normals
+from ..mesh.tissue_mesh import (
+    SIDES,
+    TissueMesh,
+    boundary_faces,
+    edge_lengths,
+    is_member,
+    meeting,
+    pieces,
+    triangle_normals,
+)
 
 # Tissues of the user's own limb under the device and on the far side: files stand upside down.
 

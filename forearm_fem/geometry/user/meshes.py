@@ -17,8 +17,7 @@ from ..device.layout import Layout
 from ..limb.filling import oriented
 from ..mesh.files import read_quietly
 from ..mesh.formats import volumes_of_gmsh
-from ..mesh.tissue_mesh import TissueMesh
-from ..mesh.topology import FACES, SIDES, boundary_faces, keys, mean_ratios, pieces
+from ..mesh.tissue_mesh import FACES, SIDES, TissueMesh, boundary_faces, keys, mean_ratios, pieces
 from .checks import check_extent, check_room, with_boundaries, without_bone
 from .surfaces import at_words
 

@@ -16,8 +16,7 @@ from ...progress import Progress, tell
 from ...scenario.limb import SurfacesLimb
 from ...typing import FloatArray, IntArray
 from ..limb.core import Size3
-from ..mesh.tissue_mesh import TissueMesh
-from ..mesh.topology import SIDES, boundary_faces, keys, pieces
+from ..mesh.tissue_mesh import SIDES, TissueMesh, boundary_faces, keys, pieces
 from .checks import check_extent, crossing_faces, with_boundaries, without_bone
 from .triangles import read_triangles
 from .volume import background_grid, cut_along, tetrahedralise

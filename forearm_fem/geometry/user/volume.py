@@ -16,8 +16,7 @@ from ...errors import MeshError
 from ...typing import BoolArray, FloatArray, IntArray
 from ..limb.filling import oriented
 from ..mesh.refinement import independent, split_edges
-from ..mesh.tissue_mesh import TissueMesh
-from ..mesh.topology import EDGES, boundary_faces, edges_of, triangle_normals
+from ..mesh.tissue_mesh import EDGES, TissueMesh, boundary_faces, edges_of, triangle_normals
 
 # fTetWild in a process of its own: it writes a stray file where it runs, and may take long or crash.
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -126,6 +128,7 @@ _BANDS = 4
 _HALF = 0.5  # of the difference: a cause that takes away as much is named
 _MOST = 0.5  # of the squared difference: one channel that holds as much is named, where its fair share is half of it
 _NOTHING = 1e-9
+_ONE = 0.01  # a gain nearer to 1 is not named
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,17 +174,25 @@ def where_words(found: Where, ground: CommonGround) -> str:
     b, o, i = found.worst()
     low, high = found.bands[b]
     return (f"They differ most at point {ground.outputs[o].name} from {ground.inputs[i].name} at {low:.3g} to "
-            f"{high:.3g} Hz: by {100 * found.error[b, o, i]:.2g} % of the largest entry there")  # fmt: skip
+            f"{high:.3g} Hz: by {percent(found.error[b, o, i])} of the largest entry there")  # fmt: skip
+
+
+def percent(share: float) -> str:
+    """E.g. ``24 %`` or ``150 %``."""
+    return f"{100 * share:.2g} %" if share < 1 else f"{100 * share:.0f} %"
 
 
 def likeliest_cause(ground: CommonGround, share: FloatArray, bands: tuple[tuple[float, float], ...]) -> str:
-    """The likeliest cause first: a mistake of units, convention or wiring, a gain, one channel, one band, or tissue."""
+    """The likeliest cause first: a mistake of units, convention or wiring, other scenarios, a gain, one channel, one
+    band, or tissue."""
     if said := explained(ground):
         return said
     a, b = (np.where(ground.valid, m, 0) for m in (ground.a, ground.b))
     before = _left(a, b)
     if before < _NOTHING:
         return ""
+    if said := other_scenario(ground):
+        return said
     names = [p.name for p in ground.outputs], [p.name for p in ground.inputs]
     for what, axes in (("one gain", None), ("a gain of each actuator", (0, 1)), ("a gain of each point", (0, 2))):
         gain = _gains(a, b, axes)
@@ -205,6 +216,41 @@ def likeliest_cause(ground: CommonGround, share: FloatArray, bands: tuple[tuple[
             "`forearm-fem fit` tells which parameters")  # fmt: skip
 
 
+_NO_PHYSICS = (
+    "name",
+    "description",
+    "accuracy",
+    "rendering",
+    "measurement",
+    "mesh",
+    "solver",
+    "sweep",
+    "schema_version",
+)
+_NAMED = 5  # keys in a sentence
+
+
+def other_scenario(ground: CommonGround) -> str:
+    """In which keys the scenarios differ that both were simulated by; empty where one is measured, or they agree."""
+    a, b = (p.get("scenario") for p in ground.provenance)
+    if not isinstance(a, Mapping) or not isinstance(b, Mapping):
+        return ""
+    keys = [k for top in dict.fromkeys((*a, *b)) if top not in _NO_PHYSICS for k in _apart(a.get(top), b.get(top), top)]
+    keys = ["limb.shape" if k.startswith("limb.") and "limb.shape" in keys else k for k in keys]
+    found = list(dict.fromkeys(keys))
+    if not found:
+        return ""
+    more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
+    return f"the two were simulated by scenarios that differ in {', '.join(found[:_NAMED])}{more}"
+
+
+def _apart(a: Any, b: Any, key: str) -> list[str]:
+    """Dotted keys in which ``a`` and ``b`` differ."""
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        return [k for name in dict.fromkeys((*a, *b)) for k in _apart(a.get(name), b.get(name), f"{key}.{name}")]
+    return [] if a == b else [key]
+
+
 def _left(a: ComplexArray, b: ComplexArray) -> float:
     """Norm of the difference over that of ``a``."""
     return float(np.linalg.norm(b - a) / max(float(np.linalg.norm(a)), np.finfo(float).tiny))
@@ -221,5 +267,6 @@ def _gain_words(gain: FloatArray, axes: tuple[int, ...] | None, names: tuple[lis
     if axes is None:
         return f"B times {float(gain.ravel()[0]):.3g}"
     own = names[1] if axes == (0, 1) else names[0]
-    told = ", ".join(f"{n} times {g:.3g}" for n, g in zip(own, gain.ravel(), strict=True))
-    return f"B's {told}"
+    off = [(n, g) for n, g in zip(own, gain.ravel(), strict=True) if abs(g - 1) > _ONE]
+    rest = ", the others as they are" if len(off) < len(own) else ""
+    return f"B's {', '.join(f'{n} times {g:.3g}' for n, g in off)}{rest}"

@@ -104,7 +104,8 @@ class Direction:
 
 _POOL = 120  # arms within the ranges of a fit, from which its finite elements are reduced
 _REACH = 3.0  # times or divided by: a fit's ranges reach to 6, where measured tissue is not
-_TERMS, _FEWER = 4, 1  # under rigid cones, and orders fewer than the twin takes: 5e-5 of points for the thesis' device
+# Terms under rigid cones, and orders fewer than the layered model takes: 5e-5 of points for the thesis' device
+_TERMS, _FEWER = 4, 1
 
 
 class ScenarioModel:
@@ -161,8 +162,8 @@ def _put(data: Any, path: list[str], value: float, key: str) -> Any:
 
 
 @dataclass(frozen=True)
-class TwinBetween:
-    """The layered twin between the planform places of measured ports, with the scenario's cones and membrane.
+class LayeredBetween:
+    """The layered model between the planform places of measured ports, with the scenario's cones and membrane.
 
     Flat and infinite: a fit absorbs what that leaves out into its parameters. The core is a half-space. Points do not
     drive.
@@ -171,7 +172,7 @@ class TwinBetween:
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
     tolerance: float = 1e-4
-    name: str = "layered twin"
+    name: str = "layered model"
 
     def holds(self, scenario: Scenario) -> str:
         """See :class:`.Engine`: as the layered model."""
@@ -240,7 +241,7 @@ def _pool(scenario: Scenario, parameters: Sequence[Parameter]) -> list[Scenario]
     if geometry := [p.name for p in skin if not p.name.startswith("tissues.")]:
         raise ScenarioError(
             f"{geometry[0]}: a mesh has one geometry, so that a fit on finite elements cannot look for it; leave it "
-            "out, or fit on the layered twin"
+            "out, or fit on the layered model"
         )
     base = scenario.model_dump(mode="json", exclude_none=True)
     places = LatinHypercube(max(len(skin), 1), rng=np.random.default_rng(0)).random(_POOL)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
+import re
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure, FigureBase
+from matplotlib.figure import Figure
 
 from ... import __version__
 from ...files.declaration import arbitrary_gain
@@ -24,7 +25,7 @@ from ...show.page import Block, Page, Section, embedded
 from ...show.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, micro, panels, sign, single, styled
 from ...store.folder import atomic_path, set_kind, write_text
 from ...typing import BoolArray
-from .agreement import fdac_matrix, where_words
+from .agreement import fdac_matrix, percent, where_words
 from .compare import Comparison, comparison_record
 from .crossplay import CrossPlay
 
@@ -40,12 +41,8 @@ def as_json(c: Comparison, asked: Mapping[str, Any] | None = None) -> str:
 
 def as_csv(c: Comparison) -> str:
     """One line per entry; empty cells are unknown."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_COLUMNS)
-    entries = comparison_record(c)["entries"]
-    writer.writerows([row[k] if row[k] is not None else "" for k in _COLUMNS] for row in entries)
-    return stream.getvalue()
+    table = pd.DataFrame(comparison_record(c)["entries"], columns=list(_COLUMNS))
+    return str(table.to_csv(index=False, lineterminator="\n"))
 
 
 def as_markdown(c: Comparison) -> str:
@@ -53,11 +50,11 @@ def as_markdown(c: Comparison) -> str:
     return comparison_page(c).markdown()
 
 
-def comparison_page(c: Comparison) -> Page:
+def comparison_page(c: Comparison, asked: Mapping[str, Any] | None = None) -> Page:
     """The comparison for people: how far apart, where, the likeliest cause and S first; entry by entry folded."""
     s = comparison_record(c)
     first, second = c.names
-    warnings = [f"{note}." for note in c.notes if note != c.where.cause]
+    warnings = [f"{named(c, note)}." for note in c.notes if note != c.where.cause]
     differ = bool(np.nanmax(c.where.error, initial=0.0) > 0)
     sections = [
         Section("where", "Where they differ", block=_bands(c), pictures=[
@@ -65,10 +62,7 @@ def comparison_page(c: Comparison) -> Page:
                      "are points (over all actuators), squares actuators (over all points)")] if differ else []),
         Section("strength", "Signal strength S", **_strengths(c)),
         Section("notes", "What to know first", bullets=warnings, warn=True),
-        Section("next", "What to do next", commands=[
-            ("Fit the model to the measurement", "forearm-fem fit SCENARIO MEASURED skin.mu fat.mu scale delay"),
-            ("Render on the measured G", "forearm-fem render MEASURED"),
-        ]),
+        Section("next", "What to do next", commands=_next(c, asked or {})),
         Section("overall", "Overall", _overall(s), [_ground(s)], folded=True),
         Section("entries", "Entry by entry", _entries(s), folded=True),
         Section("condition", "Condition number", _condition(s), folded=True),
@@ -77,9 +71,22 @@ def comparison_page(c: Comparison) -> Page:
     return Page(f"{second} against {first}", answer_lines(c), sections, f"forearm_fem {__version__}")
 
 
+def _next(c: Comparison, asked: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Commands for the two files where they are known, else with a word to replace."""
+    files = [str((asked.get(side) or [None])[0] or side) for side in "AB"]
+    scenes = [p["scenario"]["name"] if isinstance(p.get("scenario"), Mapping) else "" for p in c.ground.provenance]
+    measured = shlex.quote(files[0] if scenes[1] and not scenes[0] else files[1])
+    scene = shlex.quote(scenes[0] or scenes[1] or "SCENARIO")
+    return [
+        ("Fit the model", f"forearm-fem fit {scene} {measured} skin.mu fat.mu scale delay"),
+        ("Get drives and S of one of them", f"forearm-fem render {measured}"),
+        ("Explore it in a browser", f"forearm-fem workbench {measured}"),
+    ]
+
+
 def console_lines(c: Comparison, folder: Path) -> list[str]:
     """The answer for a terminal: how far apart, where, why, S, and where to look."""
-    return [*answer_lines(c), *(f"note: {note}" for note in c.notes), f"open {folder / 'comparison.html'}"]
+    return [*answer_lines(c), *(f"note: {named(c, note)}" for note in c.notes), f"open {folder / 'comparison.html'}"]
 
 
 def answer_lines(c: Comparison) -> list[str]:
@@ -89,10 +96,16 @@ def answer_lines(c: Comparison) -> list[str]:
         alike = f"{c.agreement.overall_frac:.2f}"
         return [f"{second} and {first} are compared by shape, as a gain is arbitrary: overall FRAC {alike} (1 is the "
                 "same but for a factor).", strength_words(c)]  # fmt: skip
-    size = "an unknown share" if not np.isfinite(c.agreement.band) else f"{100 * c.agreement.band:.2g} %"
-    cause = [f"Likeliest cause: {c.where.cause}."] if c.where.cause else []
+    size, g = percent(c.agreement.band) if np.isfinite(c.agreement.band) else "an unknown share", c.ground
+    over = f" over {g.frequency[0]:g} to {g.frequency[-1]:g} Hz, which both know" if g.only_a or g.only_b else ""
+    cause = [f"Likeliest cause: {named(c, c.where.cause)}."] if c.where.cause else []
     place = where_words(c.where, c.ground)
-    return [f"{second} differs from {first} by {size} (e_band). {place}.", *cause, strength_words(c)]
+    return [f"{second} differs from {first} by {size} (e_band){over}. {place}.", *cause, strength_words(c)]
+
+
+def named(c: Comparison, text: str) -> str:
+    """``text`` with the names of the two in place of A and B."""
+    return re.sub(r"\b[AB]\b", lambda found: c.names[found.group() == "B"], text)
 
 
 def strength_words(c: Comparison) -> str:
@@ -134,7 +147,7 @@ def _bands(c: Comparison) -> Block:
     for (low, high), error in zip(c.where.bands, c.where.error, strict=True):
         order = np.argsort(-np.nan_to_num(error), axis=None)[:3]
         worst = [np.unravel_index(int(k), error.shape) for k in order]
-        told = ", ".join(f"{c.ground.outputs[o].name} <- {c.ground.inputs[i].name} ({100 * error[o, i]:.2g} %)"
+        told = ", ".join(f"{c.ground.outputs[o].name} <- {c.ground.inputs[i].name} ({percent(error[o, i])})"
                          for o, i in worst if np.isfinite(error[o, i]))  # fmt: skip
         rows.append([f"{low:.3g} to {high:.3g}", told])
     return Block(["band [Hz]", "differ most, of the largest entry in the band"], rows)
@@ -223,7 +236,7 @@ def plot_overlay(ground: CommonGround, output: int, source: int, *, ax: Axes | N
 
 
 @styled
-def plot_where(c: Comparison, *, ax: Axes | None = None) -> FigureBase:
+def plot_where(c: Comparison) -> Figure:
     """Map of the differences, seen from above, a panel a band: discs are points, squares actuators."""
     found, ground = c.where, c.ground
     at, coils = (1e3 * positions(p)[:, :2] for p in (ground.outputs, ground.inputs))
@@ -234,7 +247,7 @@ def plot_where(c: Comparison, *, ax: Axes | None = None) -> FigureBase:
     low, high = every.min(axis=0) - 8, every.max(axis=0) + 8
     wide = 1.75
     tall = float(np.clip((high - low)[1] / (high - low)[0], 0.4, 1.5))
-    figure = panels(ax, (wide * len(found.bands) + 0.7, wide * tall + 0.3))
+    figure = panels((wide * len(found.bands) + 0.7, wide * tall + 0.3))
     axes = np.atleast_1d(figure.subplots(1, len(found.bands)))
     with np.errstate(invalid="ignore"):
         by_point, by_coil = (np.sqrt(np.nanmean(found.error**2, axis=k)) for k in (2, 1))
@@ -323,7 +336,7 @@ def save_report(c: Comparison, folder: str | Path, asked: Mapping[str, Any] | No
         write_text(target / name, text)
     with atomic_path(target / "comparison.png") as beside:
         picture(c).savefig(beside, dpi=200)
-    comparison_page(c).save(target, "comparison")
+    comparison_page(c, asked).save(target, "comparison")
     return tuple(target / name for name in FILES)
 
 

@@ -25,15 +25,15 @@ from ...scenario import Scenario
 from ...store.folder import check_kind, set_kind, write_text
 from ...store.text import plain
 from ...transfer import UNITS, ErrorEstimate, TransferMatrix
-from ..predict.arm import as_wrong
+from ..predict.arm import perturbed_answers
 from .compare import Comparison, compare
 from .fit import DELAY, FALLBACK_NOISE, SCALE, FitResult, fit, moved_by, with_model_error, with_scattered_error
 from .next_best import NextBest, next_best
 from .parameters import (
+    LayeredBetween,
     LessElements,
     Parameter,
     ScenarioModel,
-    TwinBetween,
     common_parameters,
     fem_meshes_for,
     fem_model_for,
@@ -42,7 +42,7 @@ from .readings import explained, mistake
 from .report import FILES, as_markdown, save_report
 
 FIT_FILES = ("fit.json", "fit.md", "fitted.nc")
-_QUIET = 0.1  # of the misfit: what the twin's own error is told from
+_QUIET = 0.1  # of the misfit: what the layered model's own error is told from
 _ANY = 100.0  # times either way that an arbitrary gain may be off the ratio to the model at its start
 __all__ = ["CompareResult", "FitCommandResult", "run_compare", "run_fit"]
 
@@ -112,7 +112,7 @@ class FitCommandResult:
     """The fit, the fitted scenario's model of G on the frequencies used, a text and the files written.
 
     ``following`` is the next best measurement, ``reduction`` e_band that a reduced model of finite elements states for
-    itself at the fitted values (NaN on the twin), ``numerics`` what is said of the model's own error.
+    itself at the fitted values (NaN on the layered model), ``numerics`` what is said of the model's own error.
     """
 
     fit: FitResult
@@ -139,7 +139,7 @@ def run_fit(
 ) -> FitCommandResult:
     """Fit ``parameters`` (short names of :func:`common_parameters`) of ``scenario`` to a measured G.
 
-    ``frequencies`` of its bins are used, spread evenly; the layered twin answers unless an ``engine``
+    ``frequencies`` of its bins are used, spread evenly; the layered model answers unless an ``engine``
     is given, or the scenario's own finite elements with ``fem`` (a parametric model, made once and kept in the cache;
     ``base`` is the folder of the scenario's files). Actuators of the device that were not measured are there
     all the same. Writes fit.json, fit.md and fitted.nc into ``folder``; their notes say which reading of the data
@@ -164,7 +164,7 @@ def run_fit(
         outputs = tuple(p for p in reduced.ports if p.kind == "point")
     elif engine is None:
         outputs = (*outputs, *_unmeasured(scenario, data))
-        engine = TwinBetween(outputs, inputs)
+        engine = LayeredBetween(outputs, inputs)
     whole = ScenarioModel(scenario, engine, data.frequency)
 
     def model(values: Mapping[str, float]) -> TransferMatrix:
@@ -228,7 +228,7 @@ def _with_model_errors(
         f"numerics: the elements err by an e_band of {100 * estimate.band:.2g} % there, which intervals hold; what "
         "cutting the limb errs by is in none, a run of the scene states it as truncation"
     )
-    wrong = [answering(close_loop(c, arm.device), data).values for c in as_wrong(found, [missed.of(found)])]
+    wrong = [answering(close_loop(c, arm.device), data).values for c in perturbed_answers(found, [missed.of(found)])]
     by_chance = moved_by(lambda values: answering(own(values), data), data, result, wrong)
     return with_scattered_error(with_model_error(result, moved, 1.0), by_chance), said
 
@@ -289,8 +289,8 @@ def _series_note(errors: tuple[ErrorEstimate, ...], result: FitResult) -> str:
     if not stated > _QUIET * result.e_band:
         return ""
     return (
-        f"numerics: series and quadrature of the fit's twin err by an e_band of at most {100 * stated:.2g} % there, "
-        "which is in no interval"
+        f"numerics: series and quadrature of the fit's layered model err by an e_band of at most {100 * stated:.2g} % "
+        "there, which is in no interval"
     )
 
 

@@ -1,6 +1,6 @@
 """Design of a device: variables, an objective and constraints, searched on a fast model of the arm."""
 
-from .candidate import ArmModel, Candidate, TwinArm, evaluate
+from .candidate import ArmModel, Candidate, TabulatedArm, evaluate
 from .model import Design, load_design
 from .run import DesignResult, run_design
 from .search import pareto_front
@@ -10,7 +10,7 @@ __all__ = [
     "Candidate",
     "Design",
     "DesignResult",
-    "TwinArm",
+    "TabulatedArm",
     "evaluate",
     "load_design",
     "pareto_front",

@@ -41,8 +41,8 @@ class ArmModel(Engine, Protocol):
         """Mark that tells its answers from another model's."""
 
 
-class TwinArm:
-    """The layered twin from tables: flat layers without end, any equal discs, a fraction of a second each.
+class TabulatedArm:
+    """The layered model from tables: flat layers without end, any equal discs, a fraction of a second each.
 
     Tables are made once per tissue, radius and contact, and kept in ``folder`` (None: the cache).
     """
@@ -54,7 +54,7 @@ class TwinArm:
     @property
     def mark(self) -> str:
         """The scenario says all."""
-        return "flat twin"
+        return "layered model"
 
     @property
     def name(self) -> str:
@@ -76,8 +76,8 @@ class TwinArm:
         e = result.error
         estimate = quadrature_estimate(
             frequency, e,
-            "twice the tables' difference from the twin itself on one arrangement, the last coefficients between "
-            "frequencies, and the last terms and orders of the tractions under rigid discs",
+            "twice the tables' difference from the layered model itself on one arrangement, the last coefficients "
+            "between frequencies, and the last terms and orders of the tractions under rigid discs",
         )  # fmt: skip
         return Compliance(frequency, result.values, ports, (estimate,))
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import FigureBase
+import pandas as pd
+from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
@@ -37,9 +36,9 @@ _LEAST = 6  # candidates that a map is drawn from
 
 
 @styled
-def plot_front(result: DesignResult) -> FigureBase:
+def plot_front(result: DesignResult) -> Figure:
     """Score against number of actuators and against power; the front and the scenario's own device stand out."""
-    figure = panels(None, (7.2, 3.0))
+    figure = panels((7.2, 3.0))
     axes = figure.subplots(1, 2, sharey=True)
     feasible = [c for c in result.candidates if c.feasible]
     parts = ((feasible, {"color": FAINT, "s": 10, "label": "candidates"}),
@@ -61,7 +60,7 @@ def plot_front(result: DesignResult) -> FigureBase:
 
 
 @styled
-def plot_map(result: DesignResult) -> FigureBase | None:
+def plot_map(result: DesignResult) -> Figure | None:
     """Score over the first two variables that are numbers, one dot per candidate; None without two of them.
 
     Where a third varies, dots that lie together differ by it.
@@ -71,7 +70,7 @@ def plot_map(result: DesignResult) -> FigureBase | None:
     feasible = [c for c in result.candidates if c.feasible]
     if not keys or len(feasible) < _LEAST:
         return None
-    figure = panels(None, (4.6, 3.2))
+    figure = panels((4.6, 3.2))
     ax = figure.subplots()
     x, *rest = (np.array([float(c.values[k]) for c in feasible]) for k in keys)
     score = np.array([c.score for c in feasible])
@@ -93,9 +92,9 @@ def plot_map(result: DesignResult) -> FigureBase | None:
 
 
 @styled
-def plot_devices(result: DesignResult) -> FigureBase:
+def plot_devices(result: DesignResult) -> Figure:
     """The scenario's device and the winner from above, points coloured by S."""
-    figure = panels(None, (7.2, 3.2))
+    figure = panels((7.2, 3.2))
     axes = figure.subplots(1, 2)
     pairs = ((result.reference, "scenario's device"), (result.best, "best"))
     every = [s for c, _ in pairs for s in c.strengths.values()]
@@ -158,13 +157,8 @@ def write_design_report(result: DesignResult) -> None:
 
 def table(candidates: Sequence[Candidate]) -> str:
     """One line per candidate: its values, numbers, S by target, what does not hold."""
-    rows = [row(c) for c in candidates]
-    columns = list(dict.fromkeys(key for r in rows for key in r))
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return stream.getvalue()
+    rows = pd.DataFrame([row(c) for c in candidates], dtype=object)
+    return str(rows.to_csv(index=False, lineterminator="\n"))
 
 
 def row(c: Candidate) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from ...store.text import digest_of
 from ...store.work import LIGHT, SHARE, cluster, done_once
 from ...store.work import Run as Spread
 from ..run import Run, run_all
-from .candidate import ArmModel, Candidate, TwinArm, evaluate, s_interval, score_of
+from .candidate import ArmModel, Candidate, TabulatedArm, evaluate, s_interval, score_of
 from .model import Design, Values
 from .search import pareto_front, planned, search
 
@@ -76,14 +76,14 @@ def run_design(
 ) -> DesignResult:
     """Search, confirm and write. Every candidate is on disk before the next is asked for; run again, it goes on.
 
-    ``arm`` is what candidates are evaluated on (None: the layered twin from tables); with ``workers`` above 1 or a
+    ``arm`` is what candidates are evaluated on (None: the layered model from tables); with ``workers`` above 1 or a
     ``scheduler`` generations are spread over Dask. Raises ScenarioError where no candidate is feasible.
     """
     for scenario, base in zip(design.scenarios({}), design.bases, strict=True):
         wavelet(scenario.rendering, scenario.sweep, base)  # a missing file is said before the search
     check_kind(folder, "design")
     out = Path(folder).resolve()
-    model = arm or TwinArm(progress=progress)
+    model = arm or TabulatedArm(progress=progress)
     set_kind(out, "design")
     shelf, asked, total = Shelf(out / WORK, "candidates"), question(design, model.mark), planned(design)
     mine = [key for key in shelf.known() if key.startswith(asked)]
@@ -145,14 +145,14 @@ def _evaluating(
 
 
 def _evaluated(design: Design, values: Values, arm: ArmModel | None) -> dict[str, Any]:
-    """In a worker: on the ``arm`` that was sent, or the twin of this process."""
-    return evaluate(design, values, arm or _own_twin()).as_json()
+    """In a worker: on the ``arm`` that was sent, or the layered model of this process."""
+    return evaluate(design, values, arm or _own_arm()).as_json()
 
 
 @cache
-def _own_twin() -> TwinArm:
-    """The twin of this process, so that its tables are read once."""
-    return TwinArm()
+def _own_arm() -> TabulatedArm:
+    """The layered model of this process, so that its tables are read once."""
+    return TabulatedArm()
 
 
 def _best(candidates: Sequence[Candidate]) -> Candidate:

@@ -28,16 +28,17 @@ from ...typing import ComplexArray, FloatArray
 from ...usercode import is_code
 from .draws import FASCIA, has_fascia
 
-_TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)  # a third of the time of the twin's own; what it costs is stated per draw
+# A third of the time of the layered model's own; what it costs is stated per draw
+_TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)
 _OF_CHANGE = (1e-2, 3)  # tolerance and terms for what geometry changes: 5e-5 of it apart, in two thirds of the time
 _ALONE, _FAR, _SCATTERED = (1,), 0.5, 0.06  # orders of a change, up to which nearness, and what they leave out of it
 _ENOUGH = 0.1  # e(f): where fewer orders say more (a point near a cone, little loss), more are taken
-_ASKED = 33  # frequencies asked of the twin for what geometry changes: polynomials through 49 leave .02 of it at most
+_ASKED = 33  # frequencies asked of the layered model for changes by geometry: polynomials through 49 leave .02 of it
 _FITTED = 1e-4  # of the largest entry: what a rational function of it may miss at those that it does not pass through
 _BETWEEN = 2  # times as much it may miss elsewhere: at single frequencies twice this was seen, over the band half
 _OTHERS = 6  # answers as wrong as geometry may make one
 _SMOOTH = 50.0  # Hz over which what geometry misses is alike, as for other errors of S (decision 0027)
-_MISSED = 0.5  # of the change by geometry that the twin may be wrong by
+_MISSED = 0.5  # of the change by geometry that the layered model may be wrong by
 _GEOMETRY = ("thickness", "placement", "contact area")
 
 
@@ -84,7 +85,8 @@ class ArmModel(Engine, Protocol):
 
 @dataclass(frozen=True)
 class LayeredArm:
-    """The semi-analytic twin with fewer terms: 981 bins in about half a second, with a true error of G below 1 %.
+    """The semi-analytic layered model with fewer terms: 981 bins in about half a second, with a true error of G below 1
+    %.
 
     Azimuthal ``orders`` are taken in turn until their error is small; of a single one it is not in the errors what it
     leaves out.
@@ -98,7 +100,7 @@ class LayeredArm:
     @property
     def name(self) -> str:
         """See :class:`ArmModel`."""
-        return "layered twin"
+        return "layered model"
 
     def holds(self, scenario: Scenario) -> str:
         """See :class:`.Engine`: as the layered model."""
@@ -142,7 +144,7 @@ class LayeredArm:
                 break
         estimate = quadrature_estimate(
             frequency, error,
-            "the twin's own control, with fewer terms than it takes for a scene",
+            "the layered model's own control, with fewer terms than it takes for a scene",
         )  # fmt: skip
         return Compliance(frequency, found.values, ports, (estimate,))
 
@@ -167,7 +169,7 @@ class LayeredArm:
 
 
 def without_bones(scenario: Scenario) -> Scenario:
-    """The same without bones, which the twin has not: thick fat need not fit around them."""
+    """The same without bones, which the layered model has not: thick fat need not fit around them."""
     if not getattr(scenario.limb, "bones", ()):
         return scenario
     return scenario.changed({"limb.bones": ()})
@@ -179,29 +181,29 @@ class ReducedArm:
 
     A mesh has one geometry, but its skin can be read anywhere: a draw's grid is read where it lies, if that is within
     millimetres of the scene's. What thicknesses and contact radius change, or a grid further away, is the difference of
-    two answers of the twin for the draw's tissues, and stated to be wrong by up to half of itself. A scene with tape on
-    the skin, which the twin has not, holds all of these. ``meshes`` tell what the elements err by for each draw; where
-    there are none, ``without`` says why.
+    two answers of the layered model for the draw's tissues, and stated to be wrong by up to half of itself. A scene
+    with tape on the skin, which the layered model has not, holds all of these. ``meshes`` tell what the elements err by
+    for each draw; where there are none, ``without`` says why.
     """
 
     scenario: Scenario
     model: ParametricModel
-    twin: LayeredArm
+    layered: LayeredArm
     meshes: ArmMeshes | None = None
     without: str = ""
 
     @property
     def name(self) -> str:
         """See :class:`ArmModel`."""
-        return "parametric finite elements, geometry by the twin"
+        return "parametric finite elements, geometry by the layered model"
 
     def holds(self, scenario: Scenario) -> str:
         """See :class:`.Engine`: what the reduced terms can follow, on the mesh of its scene."""
-        return self.model.holds(on_mesh_of(self.scenario, scenario))
+        return self.model.holds(with_scene_geometry(self.scenario, scenario))
 
     @property
     def held(self) -> frozenset[str]:
-        """See :class:`ArmModel`: nothing, or all geometry where the twin cannot say what it changes."""
+        """See :class:`ArmModel`: nothing, or all geometry where the layered model cannot say what it changes."""
         fascia = () if has_fascia(self.scenario) else (FASCIA,)
         return frozenset((*fascia, *(_GEOMETRY if self.scenario.tissues.patch.is_on else ())))
 
@@ -209,15 +211,15 @@ class ReducedArm:
     def left_out(self) -> str:
         """See :class:`ArmModel`."""
         still = self.model.around is None
-        by_twin = "thickness, contact area and the grid's place" if still else "thickness and contact area"
+        by_layers = "thickness, contact area and the grid's place" if still else "thickness and contact area"
         if FASCIA in self.held:
-            by_twin = f"no arm has a deep fascia, for the scene has none (limb.layers); what {by_twin}"
+            by_layers = f"no arm has a deep fascia, for the scene has none (limb.layers); what {by_layers}"
         else:
-            by_twin = f"what {by_twin}"
+            by_layers = f"what {by_layers}"
         geometry = (
             "thickness, contact area and the grid's place keep the scene's values, for there is tape on its skin"
             if "thickness" in self.held
-            else f"{by_twin} change is that of flat layers without end"
+            else f"{by_layers} change is that of flat layers without end"
         )
         return f"girth, taper, bones and the device's place on the limb are the scene's own in every arm; {geometry}"
 
@@ -233,8 +235,9 @@ class ReducedArm:
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
         """See :class:`ArmModel`: each error may be missed by its size at each pair of ports, alike at all of them or in
         any phase at each."""
-        own = on_mesh_of(self.scenario, scenario)  # but with its own grid where both meshes can read it
-        laid = own.changed({"grid": scenario.grid.changed({"direction": own.grid.direction})})  # the twin turns it
+        own = with_scene_geometry(self.scenario, scenario)  # but with its own grid where both meshes can read it
+        # the layered model turns it
+        laid = own.changed({"grid": scenario.grid.changed({"direction": own.grid.direction})})
         models = [self.model] if self.meshes is None else [self.model, self.meshes.second]
         own = laid if all(m.follows(laid) for m in models) else own
         found, missed = self.model.answer(own, frequency)
@@ -246,15 +249,15 @@ class ReducedArm:
         if own != scenario:
             found, *geometry = self._changed(found, scenario, own)
             off += geometry
-        return Answer(found, as_wrong(found, off), frozenset(e.source for e in found.errors))
+        return Answer(found, perturbed_answers(found, off), frozenset(e.source for e in found.errors))
 
     def answers(self, scenario: Scenario, seen: Scenario, frequency: FloatArray) -> tuple[Answer, Compliance]:
         """See :class:`ArmModel`."""
         return self.answer(scenario, frequency), self.compliance(seen, frequency)
 
     def _changed(self, found: Compliance, scenario: Scenario, own: Scenario) -> tuple[Compliance, Any, FloatArray]:
-        """The answer with what geometry changes between two draws, what of that change may be wrong, and the twin's
-        errors in it (both (n, n_port, n_port) [m/N])."""
+        """The answer with what geometry changes between two draws, what of that change may be wrong, and the layered
+        model's errors in it (both (n, n_port, n_port) [m/N])."""
         frequency = found.frequency
         change, error = self._change(scenario, own, frequency)
         block = np.ix_(range(len(frequency)), found.indices("point"), found.indices("contact"))
@@ -264,7 +267,7 @@ class ReducedArm:
         laid = " and the grid's place" if own.grid != scenario.grid else ""
         estimate = ErrorEstimate(
             "interpolation", float(band),
-            f"{_MISSED:g} of what the draw's thickness, contact area{laid} change on the twin, and the twin's errors",
+            f"{_MISSED:g} of what the draw's thickness, contact area{laid} change on the layered model, and its errors",
             tuple(frequency.tolist()), tuple(missed.tolist()),
         )  # fmt: skip
         changed = replace(found, values=found.values + change, errors=(*found.errors, estimate))
@@ -273,14 +276,14 @@ class ReducedArm:
     def _change(self, scenario: Scenario, own: Scenario, frequency: FloatArray) -> tuple[ComplexArray, FloatArray]:
         """Change of the layered model by the draw's geometry, and its errors, both (n, n_port, n_port) [m/N].
 
-        The twin states errors over the largest entry of their kind: of contacts, or of points under contacts. Where
-        discs are far apart, one azimuthal order says what changes to some hundredths of it, which are stated.
+        The layered model states errors over the largest entry of their kind: of contacts, or of points under contacts.
+        Where discs are far apart, one azimuthal order says what changes to some hundredths of it, which are stated.
         """
         far = 0 < max(_nearness(s) for s in (scenario, own)) <= _FAR
-        twin = replace(self.twin, orders=_ALONE) if far else self.twin
+        layered = replace(self.layered, orders=_ALONE) if far else self.layered
         few = len(frequency) <= _ASKED
         nodes = frequency if few else chebyshev_frequencies(frequency, _ASKED)
-        answers = [twin.compliance(s, nodes) for s in (scenario, own)]
+        answers = [layered.compliance(s, nodes) for s in (scenario, own)]
         values = [np.nan_to_num(a.values) for a in answers]  # a point on itself stays unknown in the sum
         change = values[0] - values[1]
         points, contacts = answers[0].indices("point"), answers[0].indices("contact")
@@ -308,7 +311,7 @@ def _nearness(scenario: Scenario) -> float:
     return max((radius / distance if distance > 0 else math.inf for radius, distance in apart), default=0.0)
 
 
-def as_wrong(found: Compliance, off: Sequence[ComplexArray | FloatArray]) -> tuple[Compliance, ...]:
+def perturbed_answers(found: Compliance, off: Sequence[ComplexArray | FloatArray]) -> tuple[Compliance, ...]:
     """Answers as wrong as each error of ``off`` (n, n_port, n_port) [m/N] may make them, in any phase: every other one
     alike at all pairs of ports, as where the same waves decay too much everywhere, the rest at each pair by chance.
 
@@ -337,7 +340,7 @@ def _parts(frequency: tuple[float, ...], ports: int, errors: int) -> tuple[tuple
     return tuple(found)
 
 
-def on_mesh_of(scene: Scenario, draw: Scenario) -> Scenario:
+def with_scene_geometry(scene: Scenario, draw: Scenario) -> Scenario:
     """The ``draw`` with the geometry that the mesh of the ``scene`` has."""
     return draw.changed({"limb": scene.limb, "grid": scene.grid, "device.cone.radius": scene.device.cone.radius})
 
@@ -347,22 +350,22 @@ def arm_model(
     *,
     base: str | Path = ".",
     draws: Sequence[Scenario] = (),
-    twin: bool = False,
+    layered: bool = False,
     progress: Progress | None = None,
 ) -> ArmModel:
     """The model that answers draws of ``scenario``, whose user files lie in ``base``.
 
     Finite elements for a scene of finite elements, made from ``draws`` like those that will be asked and kept in the
-    cache; the layered twin for the others, and where ``twin`` asks for it. Raises what solving the scenario raises.
+    cache; the layered model for the others, and where ``layered`` asks for it. Raises what solving the scenario raises.
     """
-    if is_code(scenario.engine) and not twin:
+    if is_code(scenario.engine) and not layered:
         raise ScenarioError(
             "engine: arms are drawn on finite elements or on the layered model, not on an engine of your own; set "
             "engine = 'layered'"
         )
-    if scenario.engine == "layered" or twin:
+    if scenario.engine == "layered" or layered:
         return LayeredArm(scenario.engine == "fem")
-    known = [on_mesh_of(scenario, d) for d in draws]
+    known = [with_scene_geometry(scenario, d) for d in draws]
     model = parametric_model(scenario, base=base, draws=known or None, progress=progress)
     try:
         meshes, without = arm_meshes(scenario, base, known or None, within(progress, "coarser mesh")), ""

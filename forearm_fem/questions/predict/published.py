@@ -74,7 +74,7 @@ TARGETS = (
            "trend",
            "Diller 2001 (studylib 10821980), abstract seen: 'generally increasing with frequency'; range not seen"),
     Target("Diller, tangential", "Diller", "tangential impedance above normal", "not comparable",
-           "Diller 2001, abstract seen", note="the twin has no tangential ports"),
+           "Diller 2001, abstract seen", note="the layered model has no tangential ports"),
     Target("Parker, forearm", "Parker", "stiffness of the forearm half the thenar's", "not comparable",
            "Parker and Hunter 2017, abstract seen", note="there is no thenar here"),
 )  # fmt: skip

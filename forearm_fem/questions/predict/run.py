@@ -48,7 +48,7 @@ class Question:
     """Question of a prediction: plain data, so that it travels to any process that sees ``base``.
 
     ``laws`` are those drawn from, ``held`` names or groups of inputs (priors.toml) that keep the scenario's values.
-    With ``twin`` arms are drawn on the layered twin, whatever solves the scene.
+    With ``layered`` arms are drawn on the layered model, whatever solves the scene.
     """
 
     scenario: Scenario
@@ -56,7 +56,7 @@ class Question:
     seed: int = 0
     laws: tuple[str, ...] = LAWS
     held: tuple[str, ...] = ()
-    twin: bool = False
+    layered: bool = False
 
     def __post_init__(self) -> None:
         """Laws of one's own are files beside the scenario."""
@@ -67,7 +67,7 @@ class Question:
         """SHA-256 of all that a draw depends on but its number."""
         priors = load_priors()
         content = [__version__, self.scenario.model_dump(mode="json", exclude={"name", "description"}), self.seed,
-                   sorted(self.laws), sorted(self.held), self.twin, repr(priors.inputs), repr(priors.laws),
+                   sorted(self.laws), sorted(self.held), self.layered, repr(priors.inputs), repr(priors.laws),
                    [{law: j.mean.tolist() for law, j in part.items()} for part in (priors.joint, priors.bare)],
                    contents((*named_files(self.scenario), *code_files(self.laws)), self.base)]  # fmt: skip
         return digest_of(content)
@@ -101,7 +101,7 @@ class Job:
     seed: int
     laws: tuple[str, ...]
     held: tuple[str, ...]
-    twin: bool
+    layered: bool
     number: int
 
 
@@ -240,7 +240,7 @@ def drawn(question: Question, setup: Setup, arm: ArmModel, number: int) -> Outco
 def work(job: Job) -> dict[str, Any]:
     """The draw of ``job`` as plain data; nothing it raises leaves the worker."""
     try:
-        question, setup, arm = _prepared(job.question, job.base, job.seed, job.laws, job.held, job.twin)
+        question, setup, arm = _prepared(job.question, job.base, job.seed, job.laws, job.held, job.layered)
         return drawn(question, setup, arm, job.number).as_parts()
     except Exception as problem:
         return {LOST: f"{type(problem).__name__}: {problem} (a fault of the program, please report it)"}
@@ -255,21 +255,23 @@ def _outcome(number: int, parts: Mapping[str, Any], setup: Setup) -> Outcome:
 
 def _plain(question: Question) -> tuple[str, str, int, tuple[str, ...], tuple[str, ...], bool]:
     text = question.scenario.model_dump_json()
-    return text, str(question.base.resolve()), question.seed, question.laws, question.held, question.twin
+    return text, str(question.base.resolve()), question.seed, question.laws, question.held, question.layered
 
 
 @lru_cache(maxsize=2)
 def _prepared(
-    text: str, base: str, seed: int, laws: tuple[str, ...], held: tuple[str, ...], twin: bool,
+    text: str, base: str, seed: int, laws: tuple[str, ...], held: tuple[str, ...], layered: bool,
     progress: Progress | None = None,
 ) -> tuple[Question, Setup, ArmModel]:  # fmt: skip
     """Parts that all draws of a process share. G of the scene serves for its ports alone, so one bin will do.
 
     A model of finite elements is made once and kept in the cache, where other processes find it.
     """
-    question = Question(Scenario.model_validate_json(text), Path(base), seed, laws, held, twin)
-    on_twin = question.scenario.engine == "layered" or twin
-    arm = arm_model(question.scenario, base=base, draws=() if on_twin else pool(question), twin=twin, progress=progress)
+    question = Question(Scenario.model_validate_json(text), Path(base), seed, laws, held, layered)
+    on_layers = question.scenario.engine == "layered" or layered
+    arm = arm_model(
+        question.scenario, base=base, draws=() if on_layers else pool(question), layered=layered, progress=progress
+    )
     compliance = arm.compliance(question.scenario, frequencies(question.scenario.sweep)[:1])
     transfer = close_loop(compliance, question.scenario.device)
     held_by_both = expanded(question.held, question.scenario) | expanded(arm.held, question.scenario)

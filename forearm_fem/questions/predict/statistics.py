@@ -54,10 +54,10 @@ class Draws:
         """S (n, n_method, n_target) by one of :data:`READINGS`."""
         return np.asarray(self.strengths[:, READINGS.index(name)])
 
-    def enclosed(self, name: str) -> Enclosed:
+    def enclosed(self, name: str) -> IntervalSamples:
         """The same with what the errors of each arm's G leave it."""
         value = self.reading(name)
-        return Enclosed(value, value * np.exp(-self.spread), value * np.exp(self.spread))
+        return IntervalSamples(value, value * np.exp(-self.spread), value * np.exp(self.spread))
 
     def of_law(self, law: str) -> Draws:
         """The draws of one law only."""
@@ -101,7 +101,7 @@ def quantiles(values: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Enclosed:
+class IntervalSamples:
     """Values of arms (n, ...): ``value``, and the ends ``low`` and ``high`` that each arm's own numerics leave it."""
 
     value: FloatArray
@@ -114,9 +114,9 @@ class Enclosed:
         of = [self.low if level < 0.5 else self.high if level > 0.5 else self.value for level in LEVELS]
         return np.stack([np.quantile(values, level, axis=0) for values, level in zip(of, LEVELS, strict=True)])
 
-    def of_groups(self, groups: Mapping[str, list[int]]) -> Enclosed:
+    def of_groups(self, groups: Mapping[str, list[int]]) -> IntervalSamples:
         """Means over groups (:func:`group_means`); errors of a group's targets are taken to go together."""
-        return Enclosed(*(group_means(x, groups) for x in (self.value, self.low, self.high)))
+        return IntervalSamples(*(group_means(x, groups) for x in (self.value, self.low, self.high)))
 
     def above(self, limit: float) -> FloatArray:
         """Shares of arms (3, ...) above ``limit``: whatever their numerics, as they are, as numerics may make them."""

@@ -14,7 +14,7 @@ from ...tissue import REFERENCE, resolve_tissues
 from ...typing import FloatArray
 from .draws import kept_tissues
 from .run import Prediction
-from .statistics import LEVELS, Draws, Enclosed, quantiles, rank_correlations, sobol_indices, winners
+from .statistics import LEVELS, Draws, IntervalSamples, quantiles, rank_correlations, sobol_indices, winners
 
 FOLDER, FILE = "prediction", "prediction.json"
 READING = "played"  # what a builder asks for; "reported" is what Table I is compared with
@@ -66,7 +66,7 @@ def shorter_waves(prediction: Prediction) -> dict[str, float] | None:
     """Of arms on a mesh: the ``share`` whose shear waves at 150 Hz are shorter in some tissue than the scene's own, for
     which the mesh was made, and the ``factor`` that one in twenty exceeds; None where arms have no mesh."""
     question, draws = prediction.question, prediction.draws
-    if question.scenario.engine != "fem" or question.twin:
+    if question.scenario.engine != "fem" or question.layered:
         return None
     own = {f"{n} stiffness": abs(complex(t.modulus.at(2 * np.pi * REFERENCE)))
            for n, t in resolve_tissues(question.scenario).items()}  # fmt: skip
@@ -77,7 +77,7 @@ def shorter_waves(prediction: Prediction) -> dict[str, float] | None:
     return {"share": float((factor > 1).mean()), "factor": float(np.quantile(factor, LEVELS[-1]))}
 
 
-def _spread(arms: Enclosed) -> dict[str, FloatArray]:
+def _spread(arms: IntervalSamples) -> dict[str, FloatArray]:
     """Bands with what the arms' own numerics leave them and ``bare``, without; shares of arms with S above 1."""
     sure, shown, possible = arms.above(1.0)
     return {"arms": arms.quantiles(), "bare": quantiles(arms.value), "above_one": shown,

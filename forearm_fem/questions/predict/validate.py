@@ -35,7 +35,7 @@ from .run import Prediction, Question, check_question, expanded, predict
 from .statistics import (
     LEVELS,
     Draws,
-    Enclosed,
+    IntervalSamples,
     group_deviations,
     group_means,
     joint_distance,
@@ -72,7 +72,7 @@ def validate(
     comparison as Table I. Raises ScenarioError for scenes without the thesis' grid and targets or without layers.
     """
     if question.scenario.engine != "layered":
-        raise ScenarioError("validate draws arms on the twin; set engine=layered (what it leaves out is said)")
+        raise ScenarioError("validate draws arms on the layered model; set engine=layered (what it leaves out is said)")
     outputs = planform_ports(question.scenario)[0]
     if not is_thesis_grid(outputs):
         raise ScenarioError("validate compares with Table I, which is of 3 x 3 points; leave grid as in the thesis")
@@ -181,7 +181,7 @@ def _band(target: Target, rows: Sequence[dict[str, Any]]) -> dict[str, Any] | No
     if target.kind == "trend":
         share = float(values.mean())
         return {"share": share, "inside": share >= _SEEN, "sure": _sure_share(share, len(values))}
-    arms = Enclosed(values, values, values)
+    arms = IntervalSamples(values, values, values)
     low, median, high = (float(x) for x in arms.quantiles()[[0, 2, -1]])
     within, sure = arms.judged(np.array(target.value))
     return {"low": low, "median": median, "high": high, "inside": bool(within), "sure": bool(sure),

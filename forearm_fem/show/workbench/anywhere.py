@@ -138,7 +138,7 @@ def _room(scenario: Scenario, middle: FloatArray, half: FloatArray) -> FloatArra
 
 
 def packed_anywhere(found: Anywhere, missed: ErrorEstimate, ports: Sequence[Port]) -> dict[str, Any]:
-    """As the page reads it in ``anywhere.js``; of a symmetric pair of channels the upper half."""
+    """Arrays that ``anywhere.js`` reads; of a symmetric pair of channels the upper half."""
     upper = np.triu_indices(len(found.order))
     return {
         "order": found.order.tolist(), "ends": list(found.ends), "nodes": len(found.nodes),

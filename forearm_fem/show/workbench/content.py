@@ -20,14 +20,14 @@ from ...geometry.device.layout import layout_of
 from ...ports import Port
 from ...progress import Progress
 from ...rendering import (
+    BinnedTransfer,
     Bridged,
-    Placed,
     Record,
     Wavelet,
     bridged,
     from_samples_file,
     funneling_weights,
-    place,
+    on_record_bins,
     place_on_bins,
 )
 from ...rendering.interval import at_least_band
@@ -67,7 +67,7 @@ def content_of(results: Results) -> dict[str, Any]:
         return measured_content(transfer, scenario, results.stamp)
     compliance = results.compliance
     holes = bridged(transfer)
-    placed = place(holes.transfer, record)
+    placed = on_record_bins(holes.transfer, record)
     frequency = compliance.frequency
     moved = anywhere_of(scenario, transfer) if scenario.engine == "layered" else None
     field = flat_field(compliance.ports) if moved else _field(results, placed.bins.frequency)
@@ -112,7 +112,7 @@ def library_content(
     transfer = simulate(scenario, engine=arm).transfer
     errors = (*(replace(e, per_pair=None, together=None) for e in transfer.errors), missed)
     holes = bridged(replace(transfer, errors=errors))
-    placed = place(holes.transfer, record)
+    placed = on_record_bins(holes.transfer, record)
     found = np.searchsorted(placed.bins.frequency, places.frequency - 1e-6)
     if len(found) != len(placed.bins.frequency) or not np.allclose(placed.bins.frequency, places.frequency, atol=1e-6):
         raise DataError("sweep: a page of a library needs every bin of its record; leave sweep.frequencies out")
@@ -140,7 +140,7 @@ def _packed_places(places: Places, arm: LibraryOfArm, scenario: Scenario) -> dic
             "alpha": packed(near.alpha, "c16"),  # large and of both signs
             "scale": near.scale,
         },
-        **{k: packed(getattr(places, k), "c8") for k in ("twin", "left", "right")},
+        **{k: packed(getattr(places, k), "c8") for k in ("layered", "left", "right")},
         "home": layout.contacts.tolist(), "half": [patch.length / 2, patch.width / 2], "radius": places.radius,
         "reach": float(places.radii[-1]), "scale": places.scale, "pressed": scenario.device.cone.contact == "pressure",
     }  # fmt: skip
@@ -156,7 +156,7 @@ def measured_content(
     """
     record = Record.of(scenario.sweep.sample_rate, scenario.sweep.duration)
     holes = bridged(transfer)
-    placed = place(holes.transfer, record)
+    placed = on_record_bins(holes.transfer, record)
     shape = wavelet(scenario.rendering, scenario.sweep, base)
     gain = "the gain of this G is arbitrary, as was declared: S holds, micrometres, drives and limits mean nothing"
     gain = gain if arbitrary_gain(transfer.provenance) else ""
@@ -178,7 +178,7 @@ def measured_content(
 
 
 def _common(
-    scenario: Scenario, holes: Bridged, placed: Placed, field: Field, record: Record, shape: Wavelet
+    scenario: Scenario, holes: Bridged, placed: BinnedTransfer, field: Field, record: Record, shape: Wavelet
 ) -> dict[str, Any]:
     transfer = holes.transfer
     errors = (*transfer.errors, *((holes.error,) if holes.error is not None else ()))
@@ -222,7 +222,7 @@ def _arms(prediction: Mapping[str, Any] | None) -> dict[str, Any] | None:
     return {"levels": prediction["levels"], "draws": prediction["draws"], "methods": table}
 
 
-def _draws(results: Results, placed: Placed) -> list[dict[str, Any]]:
+def _draws(results: Results, placed: BinnedTransfer) -> list[dict[str, Any]]:
     """G of some arms that a prediction of this scenario drew, on the page's bins, and what arms they are."""
     file = results.folder / Path(PREDICTION).parent / DRAWS_FILE
     if results.prediction is None or not file.is_file():
@@ -255,7 +255,7 @@ def _on_bins(field: Field, frequency: FloatArray, scenario: Scenario, bins: Floa
     return Field(field.surfaces, found.values[rows], field.error, field.words)
 
 
-def _model(results: Results, placed: Placed) -> dict[str, Any]:
+def _model(results: Results, placed: BinnedTransfer) -> dict[str, Any]:
     """Poles and residues where the sweep found them, else the compliance's contact columns on the bins."""
     compliance = results.compliance
     contacts, points = compliance.indices("contact"), compliance.indices("point")

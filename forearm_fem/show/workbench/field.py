@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...device import contact_state
-from ...geometry.mesh.topology import vertex_areas
+from ...geometry.mesh.tissue_mesh import vertex_areas
 from ...typing import ComplexArray, FloatArray, IntArray
 from ..data import Results
 from ..film import body_of

@@ -24,11 +24,11 @@ _FINE, _AT_ONCE = 300, 100  # places for what the grid's points feel, and how ma
 _MOST = 60  # places that the library is asked for, seconds each; the page holds a number for each two of them
 _SCALES = 1e3 / np.array([6.0, 9.0, 13.0, 20.0, 30.0, 45.0])  # [1/m] tried for the length over which fields change
 _NOISE = 1e-6  # of the variance: no two places are alike to rounding
-_RADII, _FARTHEST = 64, 1.05  # of the twin's profile, and how far it reaches in diagonals of the patch
+_RADII, _FARTHEST = 64, 1.05  # of the layered model's profile, and how far it reaches in diagonals of the patch
 _RANK = 1e-4  # of the largest combination of places: far below the error of interpolating between them
 _CHECKED, _SEED = 4, 0  # arrangements besides the scenario's own on which all of it is held against the library
 _TRIES = 400
-_RIM = 3e-4  # [m] from a rim to what is asked for: the twin's tables end there
+_RIM = 3e-4  # [m] from a rim to what is asked for: the layered model's tables end there
 _SIDE = 48  # stretches of the picture's longer side
 
 
@@ -71,10 +71,10 @@ class Places:
     """Compliance of discs anywhere: C(P, Q) = T(r) + w_P^T D w_Q between discs, T(r) + k(P)^T E to the grid's points.
 
     ``xy`` (n, 2) are places seen from above, ``flat`` (n, 2) along the skin, ``position`` and ``axis`` (n, 3) on it,
-    all [m]. ``twin`` (n_frequency, n_radius) is the flat twin of one disc at ``radii`` [m], its own motion first.
-    D = ``left`` (n_frequency, r) ``right`` (r, n, n) is the difference to it. Weights are those of a Gaussian process:
-    w_P = ``inverse`` k(P), k = (1 + s + 2 s^2/5 + s^3/15) exp(-s), s = ``scale`` |P - place|. E, the difference to the
-    grid's ``points`` (in flat coordinates), stands on a finer net as ``near``, its K^-1 included.
+    all [m]. ``layered`` (n_frequency, n_radius) is the layered model of one disc at ``radii`` [m], its own motion
+    first. D = ``left`` (n_frequency, r) ``right`` (r, n, n) is the difference to it. Weights are those of a Gaussian
+    process: w_P = ``inverse`` k(P), k = (1 + s + 2 s^2/5 + s^3/15) exp(-s), s = ``scale`` |P - place|. E, the
+    difference to the grid's ``points`` (in flat coordinates), stands on a finer net as ``near``, its K^-1 included.
 
     Left out: what other discs scatter, and that a cone feels the mean over its foot of what another sends, not the
     middle. :func:`places_of` measures what both and the interpolation cost.
@@ -88,7 +88,7 @@ class Places:
     points: FloatArray
     radius: float
     radii: FloatArray
-    twin: ComplexArray
+    layered: ComplexArray
     left: ComplexArray
     right: ComplexArray
     inverse: FloatArray
@@ -110,14 +110,14 @@ class Places:
         flat = xy + self.between(self.flat - self.xy, weights)
         away = np.linalg.norm(np.concatenate([flat, self.points])[:, None] - flat[None], axis=2)
         share = np.einsum("np,rnq->rpq", weights, self.right) @ weights
-        found = self.twin_at(away.ravel()).reshape(-1, *away.shape)
+        found = self.layered_at(away.ravel()).reshape(-1, *away.shape)
         found[:, :m] += np.einsum("fr,rpq->fqp", self.left, share)
         if self.near is not None:
             found[:, m:] += self.near.at(xy)
         found[:, :m] = (found[:, :m] + found[:, :m].swapaxes(1, 2)) / 2
         return np.asarray(found)
 
-    def twin_at(self, away: FloatArray) -> ComplexArray:
+    def layered_at(self, away: FloatArray) -> ComplexArray:
         """(n_frequency, k) at distances (k,): a cubic through four radii, in the root of the distance from the rim."""
         beyond = np.sqrt(np.maximum(away - self.radius, 0.0))
         step = np.sqrt(self.radii[-1] - self.radius) / (len(self.radii) - 2)
@@ -128,8 +128,8 @@ class Places:
         for j in range(4):
             others = [k for k in range(4) if k != j]
             weight = np.prod([(x - k) / (j - k) for k in others], axis=0)
-            found += weight * self.twin[:, 1 + first + j]
-        found[:, away < self.radius] = self.twin[:, :1]
+            found += weight * self.layered[:, 1 + first + j]
+        found[:, away < self.radius] = self.layered[:, :1]
         return found
 
 
@@ -171,9 +171,9 @@ def places_of(arm: LibraryOfArm, scenario: Scenario, progress: Progress | None =
     reach = max(_FARTHEST * float(np.linalg.norm(np.ptp(np.concatenate([flat, points]), axis=0))), 4 * radius)
     steps = np.arange(_RADII) * np.sqrt(reach - radius) / (_RADII - 1)
     radii = np.concatenate([[0.0], radius + steps**2])
-    twin = profile(plain, ports[0], frequency, radii)
+    layered = profile(plain, ports[0], frequency, radii)
     bare = Places(
-        frequency, xy, flat, positions(tuple(ports)), np.array([p.axis for p in ports]), points, radius, radii, twin,
+        frequency, xy, flat, positions(tuple(ports)), np.array([p.axis for p in ports]), points, radius, radii, layered,
         np.zeros((len(frequency), 0), dtype=complex), np.zeros((0, len(xy), len(xy)), dtype=complex),
         np.eye(len(xy)), 1.0,
     )  # fmt: skip
@@ -192,7 +192,7 @@ def patch_field(arm: LibraryOfArm, places: Places) -> Field:
     axes = [np.linspace(-0.5, 0.5, n) * side for n, side in zip(counts, sides, strict=True)]
     net = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     rest, normals = arm.skin.places(net)
-    weights = places.weights(rest[:, :2]).T  # of a mean too: the twin's part has one
+    weights = places.weights(rest[:, :2]).T  # of a mean too: the layered model's part has one
     words = (
         f"the library's patch of skin, drawn between {len(places.xy)} places: blurred beside the cones, exact at none"
     )
@@ -242,7 +242,7 @@ def _taken(arm: LibraryOfArm, scenario: Scenario, place: FloatArray) -> bool:
 
 
 def _difference(arm: LibraryOfArm, scenario: Scenario, bare: Places, progress: Progress | None) -> ComplexArray:
-    """Library less twin (n_frequency, n, n): a disc at each place, seen at all of them."""
+    """Library less layered model (n_frequency, n, n): a disc at each place, seen at all of them."""
     found = []
     for i, place in enumerate(bare.xy):
         tell(progress, "places", i, len(bare.xy))
@@ -254,7 +254,7 @@ def _near(arm: LibraryOfArm, scenario: Scenario, bare: Places, points: FloatArra
     """The difference from a disc anywhere to each of the grid's points.
 
     By reciprocity: a disc stands at the point, and its motion is read at the places, as many as one likes. Which of the
-    two is the disc and which the point is exchanged; the difference to the twin hardly tells.
+    two is the disc and which the point is exchanged; the difference to the layered model hardly tells.
     """
     xy = _lattice(arm, scenario, _FINE)
     flat = np.asarray(arm.skin.flat(positions(tuple(_alone(arm, scenario, place) for place in xy))))
@@ -276,7 +276,8 @@ def _sent(
     xy: FloatArray,
     flat: FloatArray,
 ) -> ComplexArray:
-    """Library less twin (n_frequency, n) of a disc at ``place`` (``here`` along the skin), seen at ``xy`` (n, 2).
+    """Library less layered model (n_frequency, n) of a disc at ``place`` (``here`` along the skin), seen at ``xy`` (n,
+    2).
 
     Under the disc and at its rim its own difference stands.
     """
@@ -286,8 +287,8 @@ def _sent(
     for rows in np.array_split(open_, max(len(open_) // _AT_ONCE, 1)):
         answer = arm.compliance(_with(scenario, place[None], xy[rows]))
         contact = answer.indices("contact")[0]
-        found[:, rows] = answer.values[:, answer.indices("point"), contact] - bare.twin_at(away[rows])
-        own = answer.values[:, contact, contact] - bare.twin[:, 0]
+        found[:, rows] = answer.values[:, answer.indices("point"), contact] - bare.layered_at(away[rows])
+        own = answer.values[:, contact, contact] - bare.layered[:, 0]
     found[:, np.setdiff1d(np.arange(len(xy)), open_)] = own[:, None]
     return found
 

@@ -29,9 +29,9 @@ export class Places {
     this.reach = model.reach;
     this.scale = model.scale;
     this.pressed = model.pressed;
-    this.twin = unpackComplex(model.twin);
-    this.radii = model.twin.shape[1];
-    this.bins = model.twin.shape[0];
+    this.layered = unpackComplex(model.layered);
+    this.radii = model.layered.shape[1];
+    this.bins = model.layered.shape[0];
     this.left = unpackComplex(model.left);
     this.rank = model.left.shape[1];
     this.right = unpackComplex(model.right);
@@ -95,7 +95,7 @@ export class Places {
         put(j, k, half); put(k, j, half);
       }
       const felt = this.felt(contacts[k]), { rank, left } = this.near;
-      for (let p = 0; p < m; p++) put(c + p, k, this.sum(left, rank, felt, m, p, this.twinAt(Math.hypot(this.points[2 * p] - flat[k][0], this.points[2 * p + 1] - flat[k][1]))));
+      for (let p = 0; p < m; p++) put(c + p, k, this.sum(left, rank, felt, m, p, this.layeredAt(Math.hypot(this.points[2 * p] - flat[k][0], this.points[2 * p + 1] - flat[k][1]))));
     }
     return out;
   }
@@ -137,7 +137,7 @@ export class Places {
   /** Motion (bins,) at a place, or at a mixture of the places, `away` [m] from a disc of these shares.
    * @param {Complex} share @param {number | Float64Array} where @param {number} away @returns {Complex} */
   seen(share, where, away) {
-    const { n, rank, left } = this, out = this.twinAt(away);
+    const { n, rank, left } = this, out = this.layeredAt(away);
     if (typeof where === "number") return this.sum(left, rank, share, n, where, out);
     const parts = zeros(rank);
     for (let r = 0; r < rank; r++) for (let i = 0; i < n; i++) { parts.re[r] += where[i] * share.re[r * n + i]; parts.im[r] += where[i] * share.im[r * n + i]; }
@@ -155,14 +155,14 @@ export class Places {
     return out;
   }
 
-  /** The flat twin of one disc, a cubic through four radii. @param {number} away [m] @returns {Complex} (bins,) */
-  twinAt(away) {
-    const { bins, radii, radius, reach, twin } = this, out = zeros(bins), inside = away < radius;
+  /** The layered model of one disc, a cubic through four radii. @param {number} away [m] @returns {Complex} (bins,) */
+  layeredAt(away) {
+    const { bins, radii, radius, reach, layered } = this, out = zeros(bins), inside = away < radius;
     const step = Math.sqrt(reach - radius) / (radii - 2), at = Math.min(Math.sqrt(Math.max(away - radius, 0)) / step, radii - 2), first = Math.min(Math.max(Math.floor(at) - 1, 0), radii - 5), x = at - first;
     const weight = [0, 1, 2, 3].map((j) => [0, 1, 2, 3].reduce((p, k) => (k === j ? p : (p * (x - k)) / (j - k)), 1));
     for (let f = 0; f < bins; f++) {
-      if (inside) { out.re[f] = twin.re[f * radii]; out.im[f] = twin.im[f * radii]; continue; }
-      for (let j = 0; j < 4; j++) { out.re[f] += weight[j] * twin.re[f * radii + 1 + first + j]; out.im[f] += weight[j] * twin.im[f * radii + 1 + first + j]; }
+      if (inside) { out.re[f] = layered.re[f * radii]; out.im[f] = layered.im[f * radii]; continue; }
+      for (let j = 0; j < 4; j++) { out.re[f] += weight[j] * layered.re[f * radii + 1 + first + j]; out.im[f] += weight[j] * layered.im[f * radii + 1 + first + j]; }
     }
     return out;
   }

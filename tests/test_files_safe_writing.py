@@ -1,4 +1,4 @@
-"""Damaged files, what other programs read of ours, and disks that are full."""
+"""Safe writing: damaged copies are refused, other programs read the files, a full disk leaves nothing behind."""
 
 from __future__ import annotations
 
