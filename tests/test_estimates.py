@@ -327,6 +327,10 @@ def test_truncation_decays_between_the_few_frequencies_of_clamped_ends():
     # (1 + |r|) / (2 |r|) = 3 times the truth by the rule; neighbours a third of an octave away speak for up to .25 f
     assert (stated >= 2 * exact).all()
     assert (stated <= 3.3 * exact * 10 ** (0.25 * many / 50)).all()
+    # what all entries do together: half of what freed ends change, twice the truth, and no less than .3 of e(f)
+    together = np.abs(error.together).max(axis=(1, 2))
+    assert together[0] > 1.2 * exact[0]
+    assert (together >= 0.299 * np.array(error.per_frequency)).all()
 
 
 def test_truncation_is_relative_to_what_lies_between_where_ends_make_most_of_g():

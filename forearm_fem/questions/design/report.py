@@ -146,7 +146,7 @@ def write_design_report(result: DesignResult) -> None:
     write_text(out / "candidates.csv", table(result.candidates))
     write_text(out / "front.csv", table(result.front))
     write_json(out / "best.json", {"values": result.best.values, "candidate": result.best.as_json()})
-    _netcdf(result)
+    save_arrays(out / "candidates.nc", "design", arrays(result), {"design": result.design.asked.name})
     pictures = []
     for name, figure in (("device", plot_devices(result)), ("front", plot_front(result)), ("map", plot_map(result))):
         if figure is not None:
@@ -168,7 +168,8 @@ def row(c: Candidate) -> dict[str, Any]:
     return {**c.values, **numbers, **strengths, "not held": " ".join(c.violations), "problem": c.problem}
 
 
-def _netcdf(result: DesignResult) -> None:
+def arrays(result: DesignResult) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
+    """Values, numbers and S of all candidates: dimensions, array, units."""
     all_ = result.candidates
     targets = list(result.best.strengths)
     numbers = {
@@ -183,13 +184,11 @@ def _netcdf(result: DesignResult) -> None:
         if all(isinstance(c.values.get(key), int | float) for c in all_)
     }
     feasible = np.array([int(c.feasible) for c in all_], dtype=np.int8)
-    save_arrays(
-        result.folder / "candidates.nc", "design",
-        {**free, **numbers, "strength": (("candidate", "target"), s, {"units": "1"}),
-         "target": (("target",), np.array(targets, dtype=object), {}),
-         "feasible": (("candidate",), feasible, {"units": "1"})},
-        {"design": result.design.asked.name},
-    )  # fmt: skip
+    return {
+        **free, **numbers, "strength": (("candidate", "target"), s, {"units": "1"}),
+        "target": (("target",), np.array(targets, dtype=object), {}),
+        "feasible": (("candidate",), feasible, {"units": "1"}),
+    }  # fmt: skip
 
 
 def outcome_words(result: DesignResult) -> list[str]:
