@@ -71,21 +71,23 @@ def fit(
 
 
 def predict(
-    scenario: Scenario, *, draws: int = 200, folder: str | Path | None = None, base: str | Path = ".", **options: Any
-) -> Prediction:
+    scenario: Scenario, *, draws: int = 200, folder: str | Path | None = None, base: str | Path = ".",
+    workers: int | None = None, **options: Any,
+) -> Prediction:  # fmt: skip
     """S over ``draws`` arms that differ as people do.
 
     What is done is kept in ``folder``, so that a prediction goes on where it was stopped; without one in none that
-    stays. ``options`` are those of :class:`.Question`: ``seed``, ``laws``, ``held``, ``layered``.
+    stays. ``workers`` processes share the work (1: this one); ``options`` are those of
+    :class:`.Question`: ``seed``, ``laws``, ``held``, ``layered``.
     """
     from .questions.predict.run import Question
     from .questions.predict.run import predict as predict_question
 
     question = Question(scenario, Path(base), **options)
     if folder is not None:
-        return predict_question(question, folder, draws=draws)
+        return predict_question(question, folder, draws=draws, workers=workers)
     with tempfile.TemporaryDirectory() as place:
-        return predict_question(question, place, draws=draws)
+        return predict_question(question, place, draws=draws, workers=workers)
 
 
 def design(file: str | Path, folder: str | Path, **options: Any) -> DesignResult:

@@ -30,6 +30,28 @@ def html(title: str, rows: Sequence[Sequence[object]], header: Sequence[str] = (
     return f"<b>{escape(title)}</b><table>{f'<tr>{head}</tr>' if head else ''}{body}</table>"
 
 
+class Manners:
+    """Base of an answer: a line, and a table in a notebook, from its ``line`` and its ``rows``, of which the first is
+    the head. Each answer adds ``to_xarray``, ``plot``, ``save``, and ``sel`` where parts have names."""
+
+    @property
+    def line(self) -> str:
+        """The answer in a line."""
+        raise NotImplementedError
+
+    @property
+    def rows(self) -> Sequence[Sequence[object]]:
+        """Head and rows of its table."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.line}>"
+
+    def _repr_html_(self) -> str:
+        head, *rows = self.rows
+        return html(self.line, rows, [str(cell) for cell in head])
+
+
 def place(names: Sequence[str], name: str, what: str) -> int:
     """Position of ``name`` among ``names``; DataError that lists them where it is none."""
     if str(name) not in names:

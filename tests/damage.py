@@ -28,7 +28,7 @@ from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.geometry.user.checks import with_boundaries
 from forearm_fem.measurement.recording import Recording, read_recording, write_recording
 from forearm_fem.results import files as io
-from forearm_fem.results.wavefield import Wavefield, load_wavefield, save_wavefield
+from forearm_fem.results.wavefield import Wavefield
 from forearm_fem.store.record import load, save
 
 RNG = np.random.default_rng(0)
@@ -68,7 +68,7 @@ FORMATS = (
     Format("transfer.nc", lambda p: io.write_transfer(p, G), io.read_transfer),
     Format("drives.nc", lambda p: io.write_drives(p, SIGNALS), io.read_drives),
     Format("reduced.nc", lambda p: save(p, REDUCED), lambda p: load(p, ReducedFile)),
-    Format("wavefield.npz", lambda p: save_wavefield(FIELD, p), load_wavefield),
+    Format("wavefield.nc", lambda p: save(p, FIELD), lambda p: load(p, Wavefield)),
     Format("recording.nc", lambda p: write_recording(p, RECORDING, "setup"), read_recording),
     Format("mesh.vtu", lambda p: write_mesh(MESH, p), read_mesh),
     Format("mesh.msh", lambda p: write_mesh(MESH, p), read_mesh),

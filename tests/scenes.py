@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from filelock import FileLock
@@ -21,3 +22,12 @@ def once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], obje
             make(folder)
             made.touch()
     return folder
+
+
+def shows_itself(answer: Any) -> None:
+    """What a notebook asks of every answer: a line, a table, labelled arrays, a picture."""
+    assert "\n" not in repr(answer)
+    assert 20 < len(repr(answer)) < 600
+    assert "<table>" in answer._repr_html_()
+    assert answer.to_xarray().sizes
+    assert answer.plot().axes

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import shows_itself
 from test_measurement_scene import RATE, SENSOR, SWEEP, device_for, part, plan_for, wave_matrix
 
 from forearm_fem.errors import DataError
@@ -268,6 +269,8 @@ def test_run_compare_writes_table_csv_json_and_figure(tmp_path):
     save(tmp_path / "a.nc", A)
     save(tmp_path / "b.csv", changed(A, 1.05))
     result = run_compare(tmp_path / "a.nc", tmp_path / "b.csv", folder=tmp_path / "out")
+    shows_itself(result)
+    assert result.sel("5", "A1") == pytest.approx(0.05, rel=1e-6)
     assert sorted(f.name for f in result.files) == [
         "comparison.csv",
         "comparison.html",

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import shows_itself
 from test_measurement_scene import INPUTS, OUTPUTS, wave_matrix
 
 from forearm_fem.engines.simulation import simulate
@@ -214,6 +215,8 @@ def test_layered_model_recovers_skin_and_coil_parameters(tmp_path):
     )
     data = replace(truth, values=truth.values + noise, deviation=np.full(truth.values.shape, sigma), contacts=None)
     result = run_fit(SCENARIO, data, ["scale", "skin.mu", "coil.moving_mass"], folder=tmp_path)
+    shows_itself(result)
+    assert result.sel("scale") == (result.fit.values["scale"], *result.fit.interval["scale"])
     assert not result.numerics  # the layered model's own error counts for nothing beside this noise
     for name, value in true.items():
         low, high = result.fit.interval[name]

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runner import cli
+from scenes import shows_itself
 
 from forearm_fem.engines.layered import flat_ports
 from forearm_fem.engines.simulation import render, simulate
@@ -143,6 +144,8 @@ def test_a_search_that_was_interrupted_goes_on_to_the_same_front(tmp_path):
     again = Waves()
     resumed = run_design(asked, tmp_path / "cut", arm=again, confirm=False)
     assert resumed.front == whole.front
+    shows_itself(whole)
+    assert whole.to_xarray().sizes["candidate"] == len(whole.candidates)
     assert resumed.best == whole.best
     assert 10**9 - again.left == len(whole.candidates) - 10 + 2  # the scenario's own, and the best for its interval
     assert (tmp_path / "cut/front.csv").read_text() == (tmp_path / "whole/front.csv").read_text()

@@ -283,7 +283,7 @@ def test_a_run_without_mesh_or_field_leaves_their_figures_out(folder: Path, tmp_
     part = tmp_path / "part"
     part.mkdir()
     for file in folder.iterdir():
-        if file.name not in ("mesh.vtu", "wavefield.npz"):
+        if file.name not in ("mesh.vtu", "wavefield.nc"):
             os.symlink(file, part / file.name)
     from forearm_fem.show.registry import applies
 

@@ -27,10 +27,11 @@ from forearm_fem.results.files import (
     write_signal_strength_csv,
     write_transfer,
 )
-from forearm_fem.results.wavefield import Wavefield, save_wavefield
+from forearm_fem.results.wavefield import Wavefield
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show import Results
 from forearm_fem.show.patch import volar_patch
+from forearm_fem.store.record import save
 from forearm_fem.transfer import Compliance, ErrorEstimate, TransferMatrix
 
 RADII = np.concatenate([[0.0], np.geomspace(1e-3, 0.1, 40)])
@@ -58,7 +59,7 @@ def write_run(place: Path) -> None:
     write_mesh(mesh, place / "mesh.vtu")
     write_transfer(place / "transfer.nc", transfer, compliance)
     write_signals(place, transfer)
-    save_wavefield(field(scenario, mesh, compliance, radial), place / "wavefield.npz")
+    save(place / "wavefield.nc", field(scenario, mesh, compliance, radial))
     (place / "scenario.json").write_text(scenario.model_dump_json())
     account = {
         "program": "0.0.test",

@@ -209,7 +209,7 @@ def test_impossible_views_are_refused(run: Results, view: View, words: str) -> N
 
 def test_without_a_field_it_says_so(folder: Path, tmp_path: Path) -> None:  # noqa: F811
     for file in folder.iterdir():
-        if file.name != "wavefield.npz":
+        if file.name != "wavefield.nc":
             shutil.copy(file, tmp_path / file.name)
-    with pytest.raises(DataError, match=r"wavefield\.npz is missing.*forearm-fem run"):
+    with pytest.raises(DataError, match=r"wavefield\.nc is missing.*forearm-fem run"):
         wavefield(tmp_path)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
 import meshio
 import numpy as np
 import pytest
@@ -41,7 +42,7 @@ def test_other_programs_read_what_is_written(tmp_path):
     np.testing.assert_array_equal(wavfile.read(tmp_path / "drives.wav")[1].T, DRIVES)
     for name in ("mesh.vtu", "mesh.msh"):
         assert len(meshio.read(tmp_path / name).points) == len(MESH.points)
-    with np.load(tmp_path / "wavefield.npz") as store:
+    with h5py.File(tmp_path / "wavefield.nc") as store:
         assert store["modes"].shape == (40, 3, 6)
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import shows_itself
 from test_measurement_scene import (
     INPUTS,
     OUTPUTS,
@@ -165,6 +166,8 @@ def test_run_calibration_writes_transfer_and_live_figure(tmp_path):
     back = read_transfer(result.transfer_file)
     assert np.nanmax(np.abs(back.values - SCENE.values)) < 0.02 * np.abs(SCENE.values).max()
     assert result.figure_file.read_bytes().startswith(b"\x89PNG")
+    shows_itself(result)
+    assert np.array_equal(result.sel("2", "A1"), back.sel("2", "A1"), equal_nan=True)
     assert back.provenance["source"] == "measured"
     assert back.errors[0].source == "measurement"
 

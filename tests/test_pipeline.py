@@ -82,7 +82,7 @@ def test_a_run_leaves_every_file_that_is_promised(finished):
         "report.html",
         "run.json",
         "scenario.json",
-        "wavefield.npz",
+        "wavefield.nc",
     ]
     assert [name for name in promised if not (finished / name).is_file()] == []
     assert [p for p in finished.rglob("*") if p.name.startswith(".")] == []  # nothing half-written
@@ -154,7 +154,7 @@ def test_a_new_coil_needs_no_new_solve(finished, home, monkeypatch, tmp_path):
 
 def test_what_the_field_leaves_out_of_the_housing_is_said(finished, home, tmp_path):
     """Points follow a share of the housing, the field between them does not: films would show less in silence."""
-    share = "device.housing.skin_share: pictures, films and wavefield.npz leave out"
+    share = "device.housing.skin_share: pictures, films and wavefield.nc leave out"
     assert not any(note.startswith(share) for note in read_run(finished / "run.json").notes)
     for k, housing in enumerate(({"skin_share": 0.03}, {"fixed": True})):
         scenario = parse_scenario({**TINY, "device": {**TINY["device"], "housing": housing}})

@@ -11,7 +11,8 @@ import sys
 import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -128,6 +129,26 @@ def out_folder(out: Path | None, scenario: Scenario, overrides: Sequence[str] | 
 
 
 @contextmanager
+def job(folder: Path | None = None, *rooms: str, sums: bool = True) -> Iterator[Display]:
+    """A command's work: its ``folder`` locked, one progress bar, warnings as notes once it is done.
+
+    ``rooms`` that take seconds to load on a slow or busy machine are loaded first, which the bar says. What fails is
+    one sentence, and Ctrl-C says that the same command goes on (:func:`forearm_fem.cli.app.main`).
+    """
+    with ExitStack() as held:
+        if folder is not None:
+            from ..store.folder import locked
+
+            held.enter_context(locked(folder, sums=sums))
+        held.enter_context(noted())
+        display = held.enter_context(Display())
+        for k, room in enumerate(rooms):
+            display("libraries", k, len(rooms))
+            import_module(f"forearm_fem.{room}")
+        yield display
+
+
+@contextmanager
 def stage(
     asked: Scenario,
     file: Path,
@@ -145,19 +166,19 @@ def stage(
 
     folder, kept = out_folder(out, asked, overrides), library_file(library)
     with locked(folder):
-        with noted(), Display() as display:
-            job = Run.start(asked, folder, file.parent, display)
-            job.asked = asked_words(file, overrides, library)
+        with job() as display:
+            run = Run.start(asked, folder, file.parent, display)
+            run.asked = asked_words(file, overrides, library)
             if kept is not None:
-                job.engine = kept
-                job.notes.append(f"{library}: answers in place of a solve; mesh and solver keys have no effect")
-                job.notes.append(
+                run.engine = kept
+                run.notes.append(f"{library}: answers in place of a solve; mesh and solver keys have no effect")
+                run.notes.append(
                     "library: the limb acts on each disc's net force; what it does to a disc held against "
                     "tilt and slide is the layered model's, and its error is stated as contact"
                 )
-            work(job)
-        print_notes(job.notes)
-        yield job
+            work(run)
+        print_notes(run.notes)
+        yield run
 
 
 def asked_words(file: Path, overrides: Sequence[str] | None = None, library: Path | None = None) -> str:

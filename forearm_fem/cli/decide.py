@@ -12,16 +12,15 @@ from ..errors import DataError, ScenarioError
 from ..scenario import load_scenario
 from .common import (
     Declared,
-    Display,
     LibraryFile,
     OutFolder,
     Overrides,
     ScenarioFile,
     ends_in,
     holds_g,
+    job,
     library_file,
     measured_g,
-    noted,
     out_folder,
     print_notes,
     refuse_folder,
@@ -45,7 +44,7 @@ def predict(
     ] = None,
     hold: Annotated[
         list[str] | None,
-        typer.Option(help="keep the scenario's value of an input or group, e.g. tissue, placement, 'signal to noise'"),
+        typer.Option(help="keep the scenario's value of an input or group, e.g. tissue, placement, 'arm motion'"),
     ] = None,
     layered: Annotated[
         bool, typer.Option("--layered/--own", help="arms on the layered model, or by the scene's own engine")
@@ -59,29 +58,19 @@ def predict(
 ) -> None:
     """S on people: draws of arms, devices and measurements; bands apart from the error of the numerics."""
     asked = load_scenario(scenario, overrides=overrides or ())
-    with noted(), Display() as display:
-        display("libraries", 0, 1)  # seconds of a slow or busy machine
+    folder = out_folder(out, asked, overrides) / "prediction"
+    with job(folder, "questions.predict.run", "show.prediction") as display:
         from ..questions.predict.draws import LAWS
         from ..questions.predict.run import Question
         from ..questions.predict.run import predict as run
-        from ..questions.predict.summary import FOLDER, summary, write_summary
-        from ..show.prediction import write_prediction
-        from ..store.folder import locked
 
-        display("libraries", 1, 1)
-        folder = out_folder(out, asked, overrides) / FOLDER
         question = Question(asked, scenario.parent, seed, tuple(law or LAWS), tuple(hold or ()), layered)
-        with locked(folder):
-            found = run(
-                question, folder, draws=draws, resume=resume, workers=workers, scheduler=scheduler, progress=display
-            )
-            display("report", 0, 1)
-            content = summary(found, sobol)
-            write_summary(folder, content)
-            page, plain = write_prediction(folder, content)
-            display("report", 1, 1)
-        typer.echo(plain.read_text(encoding="utf-8"))
-        typer.echo(f"prediction: {page} ({found.reused} of {draws} draws were there, {found.seconds:.0f} s)")
+        found = run(
+            question, folder, draws=draws, resume=resume, workers=workers, scheduler=scheduler, progress=display
+        )
+        page, plain = found.save(folder, sobol=sobol, progress=display)
+    typer.echo(plain.read_text(encoding="utf-8"))
+    typer.echo(f"prediction: {page} ({found.reused} of {draws} draws were there, {found.seconds:.0f} s)")
 
 
 def validate(
@@ -102,22 +91,17 @@ def validate(
     """Judge predictions by what was published: measured, band over arms, inside or not; where it fails comes first."""
     asked = load_scenario(scenario, overrides=overrides or ())
     name = "" if measured is None else measured.name
-    with noted(), Display() as display:
-        display("libraries", 0, 1)  # seconds of a slow or busy machine
+    folder = out_folder(out, asked, overrides) / "prediction"
+    with job(folder, "questions.predict.validate", "show.validation") as display:
         from ..questions.predict.run import Question
-        from ..questions.predict.summary import FOLDER
         from ..questions.predict.validate import validate as run
         from ..show.validation import failures, validation_page
-        from ..store.folder import locked
 
-        display("libraries", 1, 1)
-        given = measured_g(measured, asked, declare, "--measured")
-        folder = out_folder(out, asked, overrides) / FOLDER
-        with locked(folder):
-            found = run(
-                Question(asked, scenario.parent, seed), folder, draws=draws, resume=resume, workers=workers,
-                scheduler=scheduler, measured=given, measured_name=name, progress=display,
-            )  # fmt: skip
+        found = run(
+            Question(asked, scenario.parent, seed), folder, draws=draws, resume=resume, workers=workers,
+            scheduler=scheduler, measured=measured_g(measured, asked, declare, "--measured"), measured_name=name,
+            progress=display,
+        )  # fmt: skip
     page = validation_page(found, asked.name)
     written, _ = page.save(folder, "validation")
     typer.echo(page.title)
@@ -149,20 +133,14 @@ def design(
     """Search for the device with the largest S within limits; interrupted, it goes on where it was."""
     from ..questions.design import load_design, run_design
     from ..questions.design.report import outcome_words
-    from ..store.folder import locked
 
     asked = load_design(file)
     folder = out or Path("results") / asked.asked.name
-    with locked(folder), Display() as display, noted():
+    with job(folder) as display:
         result = run_design(
-            asked,
-            folder,
-            arm=library_file(library),
-            confirm=confirm,
-            scheduler=scheduler,
-            workers=workers,
+            asked, folder, arm=library_file(library), confirm=confirm, scheduler=scheduler, workers=workers,
             progress=display,
-        )
+        )  # fmt: skip
     for line in outcome_words(result):
         typer.echo(line)
     typer.echo(f"{len(result.candidates)} candidates, {len(result.front)} on the Pareto front: {folder / 'report.md'}")
@@ -182,7 +160,6 @@ def library(
 ) -> None:
     """Solve once for a patch of an arm's skin; `run --library` then needs no solve."""
     from ..engines.library import is_library, make_library, save_library
-    from ..store.folder import locked
 
     asked = load_scenario(scenario, overrides=overrides or ())
     if asked.engine != "fem":
@@ -192,7 +169,7 @@ def library(
     if file.is_file() and not is_library(file):
         raise DataError(f"{file}: is there and no library; it is not replaced, name another file with --out")
     print_notes(_idle(overrides or ()))
-    with locked(file.parent, sums=False), Display() as display:
+    with job(file.parent, sums=False) as display:
         made = make_library(asked, base=scenario.parent, progress=display)
         save_library(file, made)
     patch, facts = asked.library, made.facts
@@ -229,11 +206,10 @@ def campaign(
 ) -> None:  # fmt: skip
     """Run many variants of a scenario; finished ones are skipped, failed ones do not stop the rest."""
     from ..questions.campaign import load_campaign, run_campaign
-    from ..store.folder import locked
 
     asked = load_campaign(file)
     folder = out or Path("results") / asked.name
-    with locked(folder), Display() as display, noted():
+    with job(folder) as display:
         result = run_campaign(asked, folder, scheduler=scheduler, workers=workers, progress=display)
     typer.echo(result.table)
     print_notes([f"{m.name}: {m.problem}" for m in result.members if m.problem])
@@ -246,10 +222,9 @@ def verify(
     out: Annotated[Path, typer.Option("--out", help="folder that the page is written to")] = Path("results/verify"),
 ) -> None:
     """Check this installation against exact solutions; exit code 1 where a number misses its tolerance."""
-    from ..store.folder import locked
     from ..verification import report, run_verification
 
-    with locked(out), Display() as display, noted():
+    with job(out) as display:
         rows = run_verification(display)
         page = report.verification_page(rows)
         written, _ = page.save(out, "verification")

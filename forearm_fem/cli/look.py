@@ -10,7 +10,7 @@ import typer
 
 from ..errors import DataError
 from ..scenario import scenario_file
-from .common import Declared, Display, declaration, ends_in, noted, refuse_folder, scene_of, there
+from .common import Declared, declaration, ends_in, job, refuse_folder, scene_of, there
 
 # figures: a run made visible.
 
@@ -59,9 +59,7 @@ def figures(
         if given and not read:
             raise DataError(f"{option}: expected names between the commas, got none; leave it out for its default")
     from ..show import make_figures
-    from ..store.folder import locked
-
-    with locked(out or results), Display() as display, noted():
+    with job(out or results) as display:
         written = make_figures(
             results, out, only=names, formats=kinds,
             progress=display, width=width, footer=footer,
@@ -79,7 +77,7 @@ def _filmed(results: Path, film: Path, method: str | None, target: str | None, v
     found = Folder.open(results)
     first = default_view(found)
     asked = replace(first, method=method or first.method, target=target or first.target)
-    with Display() as display, noted():
+    with job() as display:
         if film.suffix.lower() == ".png":
             drawn = plot_wavefield(wavefield(found, view=asked, look=Look(view, size=(2400, 1500))))
             save_drawn(drawn, film.with_suffix(""), ("png",), found.stamp)
@@ -118,7 +116,7 @@ def workbench(
     from ..show.workbench.bundle import page_beside, write_workbench
 
     page = save or (what / "workbench.html" if what.is_dir() else page_beside(what))
-    with noted(), Display() as display:
+    with job() as display:
         write_workbench(
             what, page, scenario=asked, declaration=declaration(declare), progress=display,
             base=scenario_file(scenario).parent if scenario else Path(),

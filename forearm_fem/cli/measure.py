@@ -24,6 +24,7 @@ from .common import (
     declared,
     ends_in,
     holds_g,
+    job,
     measured_g,
     noted,
     out_folder,
@@ -131,7 +132,7 @@ def _calibrated(
 
     kept = None if cable is None else read_loopback(cable)
 
-    with Display() as display, noted(), stop_on_ctrl_c() as stop:
+    with job() as display, stop_on_ctrl_c() as stop:
 
         def operator(where: str) -> bool:
             """True if it is to be measured there: waits for Enter where an operator is to be asked."""
@@ -254,31 +255,27 @@ def compare(
 ) -> None:  # fmt: skip
     """Comparison of two devices (which is better, and where), or of two G of one device (where they differ, and
     why)."""
-    with noted(), Display() as display:
-        display("libraries", 0, 1)  # seconds of a slow or busy machine
-        scene, said = scene_of(scenario), (declaration(declare_a), declaration(declare_b))
+    scene, said = scene_of(scenario), (declaration(declare_a), declaration(declare_b))
+    names = (p.resolve().name if p.is_dir() else p.stem for p in what)
+    folder = out or Path("results") / f"compare-{'-'.join(names)}"
+    with job(folder, "show.devices", "questions.compare.run") as display:
+        from ..questions.compare.report import console_lines
+        from ..questions.compare.run import run_compare
         from ..show.devices import are_devices
-        from ..store.folder import locked
 
-        names = (p.resolve().name if p.is_dir() else p.stem for p in what)
-        folder = out or Path("results") / f"compare-{'-'.join(names)}"
-        with locked(folder):
-            if are_devices(what):
-                lines = _compared_devices(what, folder, display)
-            elif len(what) == 2:
-                from ..questions.compare.report import console_lines
-                from ..questions.compare.run import run_compare
-
-                result = run_compare(
-                    transfer_file(what[0]), transfer_file(what[1]), folder=folder, declaration_a=said[0],
-                    declaration_b=said[1], scenario=scene, render=render, progress=display,
-                )  # fmt: skip
-                lines = console_lines(result.comparison, folder)
-            else:
-                raise DataError(
-                    f"compare: expected two G, or runs with S; some of the {len(what)} given are no finished run: "
-                    "`forearm-fem render FILE` makes one of a G"
-                )
+        if are_devices(what):
+            lines = _compared_devices(what, folder, display)
+        elif len(what) == 2:
+            result = run_compare(
+                transfer_file(what[0]), transfer_file(what[1]), folder=folder, declaration_a=said[0],
+                declaration_b=said[1], scenario=scene, render=render, progress=display,
+            )  # fmt: skip
+            lines = console_lines(result.comparison, folder)
+        else:
+            raise DataError(
+                f"compare: expected two G, or runs with S; some of the {len(what)} given are no finished run: "
+                "`forearm-fem render FILE` makes one of a G"
+            )
     typer.echo("\n".join(lines))
 
 
@@ -308,17 +305,13 @@ def fit(
     """Fit parameters of a scenario to a measured G; says what the data cannot tell and what to measure next."""
     asked = load_scenario(scenario, overrides=overrides or ())
     folder = out or out_folder(None, asked, overrides) / "fit"
-    with noted(), Display() as display:
-        display("libraries", 0, 1)  # seconds of a slow or busy machine
+    with job(folder, "questions.compare.run") as display:
         from ..questions.compare.run import run_fit
-        from ..store.folder import locked
 
-        display("libraries", 1, 1)
-        with locked(folder):
-            result = run_fit(
-                asked, transfer_file(measured), parameters, folder=folder, declaration=declaration(declare),
-                frequencies=frequencies, fem=fem, base=scenario.parent, progress=display,
-            )  # fmt: skip
+        result = run_fit(
+            asked, transfer_file(measured), parameters, folder=folder, declaration=declaration(declare),
+            frequencies=frequencies, fem=fem, base=scenario.parent, progress=display,
+        )  # fmt: skip
     typer.echo(result.text)
     typer.echo(f"fit: {folder}")
 

@@ -19,6 +19,7 @@ from .common import (
     ScenarioFile,
     declaration,
     is_g,
+    job,
     library_file,
     noted,
     print_notes,
@@ -60,18 +61,18 @@ def run(
             kept.ports(asked)  # what it does not answer for is said now
             typer.echo(f"library: no mesh and no solve; {len(frequencies(asked.sweep))} frequencies in seconds")
             return
-        with noted(), Display() as display:
+        with job() as display:
             expected = _expected(asked, scenario.parent, display)
         _print_forecast(asked, expected)
         print_notes(scene_notes(asked))
         return
     from ..questions.run import run_all
 
-    with stage(asked, scenario, out, run_all, overrides, library) as job:
+    with stage(asked, scenario, out, run_all, overrides, library) as made:
         if not asked.rendering.methods:
-            typer.echo(f"open {job.out / 'report.html'}")
+            typer.echo(f"open {made.out / 'report.html'}")
             return
-        _print_answer(job)
+        _print_answer(made)
 
 
 def _until(asked: Scenario, scenario: Path, last: Until, out: Path | None, overrides: Overrides) -> None:
@@ -80,18 +81,18 @@ def _until(asked: Scenario, scenario: Path, last: Until, out: Path | None, overr
     from ..results.run import read_run
 
     if last == "mesh":
-        with stage(asked, scenario, out, run_mesh, overrides) as job:
+        with stage(asked, scenario, out, run_mesh, overrides) as made:
             _print_forecast(asked, _expected(asked, scenario.parent))
             if asked.engine == "fem":
-                typer.echo(f"mesh: {job.out / 'mesh.vtu'}")
+                typer.echo(f"mesh: {made.out / 'mesh.vtu'}")
         return
-    with stage(asked, scenario, out, run_solve, overrides) as job:
-        account = read_run(job.out / "run.json")
+    with stage(asked, scenario, out, run_solve, overrides) as made:
+        account = read_run(made.out / "run.json")
         for error in account.errors:
             band, worst = ("unknown" if e is None else f"{e:.2e}" for e in (error.band, error.worst))
             typer.echo(f"{error.source:15} band {band}  worst e(f) {worst}")
         typer.echo(account.accuracy)
-        typer.echo(f"G: {job.out / 'transfer.nc'}")
+        typer.echo(f"G: {made.out / 'transfer.nc'}")
 
 
 def render(
@@ -119,8 +120,8 @@ def render(
     from ..questions.run import run_render
 
     asked = load_scenario(what, overrides=overrides or ())
-    with stage(asked, what, out, run_render, overrides) as job:
-        _print_answer(job)
+    with stage(asked, what, out, run_render, overrides) as made:
+        _print_answer(made)
 
 
 def _render_given(
@@ -139,19 +140,19 @@ def _render_given(
     folder = out or Path("results") / f"render-{what.stem}"
     base = file.parent if scenario is None else scenario_file(scenario).parent
     with locked(folder):
-        with Display() as display:
-            job = Run.given(scene, folder, base, display)
-            job.notes += [f"G: {file}", *notes]
-            run_given(job, g)
-        print_notes(job.notes)
-        _print_answer(job)
+        with job() as display:
+            made = Run.given(scene, folder, base, display)
+            made.notes += [f"G: {file}", *notes]
+            run_given(made, g)
+        print_notes(made.notes)
+        _print_answer(made)
 
 
-def _print_answer(job: Run) -> None:
+def _print_answer(made: Run) -> None:
     from ..show.answer import console_lines
     from ..show.data import Results
 
-    results = Results.holding(job.out, scenario=job.scenario, run=job.record, **job.known)
+    results = Results.holding(made.out, scenario=made.scenario, run=made.record, **made.known)
     typer.echo("\n".join(console_lines(results)))
 
 

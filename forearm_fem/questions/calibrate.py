@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -22,13 +22,18 @@ from ..measurement.ni import NiDaq
 from ..measurement.playback import Loopback, Played, check_belongs, loopback, play, with_latency
 from ..measurement.sound import SoundCard
 from ..measurement.virtual import VirtualDaq, VirtualOptions, VirtualSensor, noise_for
+from ..notebook import Manners
 from ..progress import Progress, tell
 from ..results.files import read_drives, refuse_other_g, write_transfer
 from ..scenario import Scenario
 from ..scenario.measurement import DaqOptions
 from ..store.folder import check_kind
 from ..transfer import TransferMatrix
-from ..typing import FloatArray
+from ..typing import ComplexArray, FloatArray
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
 
 __all__ = ["CalibrationResult", "VirtualSetup", "hardware", "run_calibration", "run_loopback", "run_play", "wired"]
 
@@ -64,13 +69,44 @@ class VirtualSetup:
         return {"snr": str(self.snr_db), "bits": self.bits, "latency": self.latency, "seed": self.seed, "g": sizes}
 
 
-@dataclass(frozen=True, eq=False)
-class CalibrationResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class CalibrationResult(Manners):
     """Measured G, and the files written: ``transfer.nc``, the live figure and one recording per entry."""
 
     measured: Measured
     transfer_file: Path
     figure_file: Path
+
+    @property
+    def line(self) -> str:
+        """What G is of, and how much of it may be used."""
+        g = self.measured.transfer
+        usable = np.isfinite(g.values) if g.valid is None else g.valid
+        return f"{repr(g)[1:-1]}; {100 * usable.mean():.0f} % of the entries may be used"
+
+    @property
+    def rows(self) -> list[list[str]]:
+        """What was found on the way."""
+        return [["finding"], *([finding.sentence] for finding in self.measured.findings)]
+
+    def sel(self, output: str, input: str) -> ComplexArray:
+        """G (n_frequency,) of one point by one actuator."""
+        return self.measured.transfer.sel(output, input)
+
+    def to_xarray(self) -> xr.Dataset:
+        """G and its coherence."""
+        g = self.measured.transfer.to_xarray()
+        return g.to_dataset().assign(coherence=(g.dims, self.measured.coherence))
+
+    def plot(self) -> Figure:
+        """Entries with their scatter, coherence, and what was measured."""
+        from ..show.calibration import live
+
+        return live(self.measured.transfer, self.measured.coherence)
+
+    def save(self, path: str | Path) -> None:
+        """Write G in the format of the path's ending: .nc, .csv or .mat."""
+        self.measured.transfer.save(path)
 
 
 def run_calibration(
@@ -213,7 +249,7 @@ def calibration_plan(scenario: Scenario, virtual: VirtualSetup | None = None, *,
         virtual.transfer.inputs,
         ExponentialSweep.of(scenario),
         options.changed({"daq": daq, "sensor": sensor}),
-        simulated={**virtual.description, "sensor": sensor.model_dump(mode="json")},
+        simulated={**virtual.description, "sensor": sensor.model_dump(mode="json"), "rig": options.rig.model_dump()},
     )
 
 
@@ -235,8 +271,9 @@ def virtual_device(plan: Plan, virtual: VirtualSetup) -> VirtualDaq:
     noise = noise_for(virtual.snr_db, virtual.transfer, sweep.samples(), sweep.sample_rate, sensor)
     gain = plan.options.daq.amplifier_gain
     options = VirtualOptions(
-        noise, virtual.bits, virtual.latency, seed=virtual.seed, amplifier_gain=gain, sensor=sensor
-    )
+        noise, virtual.bits, virtual.latency, seed=virtual.seed, amplifier_gain=gain, sensor=sensor,
+        rig=plan.options.rig,
+    )  # fmt: skip
     return VirtualDaq(virtual.transfer, sweep.sample_rate, sweep.duration, options)
 
 

@@ -59,22 +59,23 @@ from ..results.run import (
     read_run,
     write_run,
 )
-from ..results.wavefield import Wavefield, save_wavefield
+from ..results.wavefield import Wavefield
 from ..scenario import Scenario
 from ..scenario.rendering import SampledWavelet
 from ..scenario.sweep import Band
 from ..store.folder import atomic_path, check_kind, set_kind
+from ..store.record import save
 from ..store.text import read_json, write_json
 from ..transfer import TransferMatrix
 
 __all__ = ["Run", "check_rendering", "run_all", "run_given", "run_mesh", "run_render", "run_solve"]
 
 _DERIVED = (
-    "transfer.mat", "wavefield.npz", "reduced.nc", "drives.nc", "displacements.nc", "signal_strength.csv",
+    "transfer.mat", "wavefield.nc", "reduced.nc", "drives.nc", "displacements.nc", "signal_strength.csv",
     "signal_strength.json", "report.md", "report.html", "waves.csv",
 )  # fmt: skip
 _WITHOUT_SHARE = (
-    "device.housing.skin_share: pictures, films and wavefield.npz leave out what the skin follows of the housing; G, "
+    "device.housing.skin_share: pictures, films and wavefield.nc leave out what the skin follows of the housing; G, "
     "drives, displacements and S hold it"
 )
 
@@ -203,7 +204,7 @@ def run_mesh(run: Run) -> TissueMesh | None:
 
 
 def run_solve(run: Run) -> TransferMatrix:
-    """Compliance and G with their errors: ``transfer.nc``, ``transfer.mat``, ``wavefield.npz``, ``run.json``."""
+    """Compliance and G with their errors: ``transfer.nc``, ``transfer.mat``, ``wavefield.nc``, ``run.json``."""
     transfer = _solved(run)
     _write_run(run)
     return transfer
@@ -242,7 +243,7 @@ def _write_solution(run: Run, simulation: Simulation) -> None:
     run.known |= {"transfer": transfer, "_compliance": simulation.compliance}
     if simulation.solved is not None and simulation.solved.modes.size:
         run.known["wavefield"] = field_of_run = wavefield_of(simulation)
-        save_wavefield(field_of_run, out / "wavefield.npz")
+        save(out / "wavefield.nc", field_of_run)
         if carries_points(scenario.device):
             run.notes.append(_WITHOUT_SHARE)
     if simulation.solved is not None and simulation.solved.skin is not None:

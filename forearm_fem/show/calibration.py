@@ -67,6 +67,13 @@ def plot_done(valid: FloatArray, outputs: tuple[str, ...], inputs: tuple[str, ..
 @styled
 def save_live(path: str | Path, transfer: TransferMatrix, coherence: FloatArray) -> None:
     """The state of a calibration as one picture, replaced in one step so that a viewer never sees half of it."""
+    with atomic_path(path) as beside:
+        live(transfer, coherence).savefig(beside, dpi=200)
+
+
+@styled
+def live(transfer: TransferMatrix, coherence: FloatArray) -> Figure:
+    """The state of a calibration."""
     figure = Figure(figsize=(7.0, 2.5), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     finite = np.isfinite(transfer.values)
@@ -84,5 +91,4 @@ def save_live(path: str | Path, transfer: TransferMatrix, coherence: FloatArray)
     done = int(finite.any(axis=0).sum())
     sign(figure, f"{done} of {share.size} entries measured; grey: one standard deviation, and bins marked invalid")
     arrange(figure)
-    with atomic_path(path) as beside:
-        figure.savefig(beside, dpi=200)
+    return figure

@@ -27,9 +27,10 @@ from ..results.files import (
     read_transfer,
 )
 from ..results.run import RunRecord, read_run
-from ..results.wavefield import Wavefield, load_wavefield
+from ..results.wavefield import Wavefield
 from ..scenario import Scenario, parse_scenario
 from ..scenario.rendering import SampledWavelet
+from ..store.record import load
 from ..store.text import read_json
 from ..transfer import Compliance, TransferMatrix
 from ..typing import BoolArray
@@ -43,7 +44,7 @@ STAGES: Mapping[str, str] = MappingProxyType(
         "run.json": "run",
         "mesh.vtu": "run",
         "transfer.nc": "run",
-        "wavefield.npz": "run",
+        "wavefield.nc": "run",
         "drives.nc": "render",
         "displacements.nc": "render",
         "signal_strength.csv": "render",
@@ -172,25 +173,25 @@ class Results:
     @cached_property
     def field_mesh(self) -> TissueMesh:
         """The mesh with the points where the wavefield is known; the mesh itself in folders written before 0.6.0."""
-        older = len(load_wavefield(self.path("wavefield.npz")).modes) == len(self.mesh.points)
+        older = len(self._read("wavefield.nc", lambda file: load(file, Wavefield)).modes) == len(self.mesh.points)
         return self.mesh if older else with_finer_skin(self.mesh)
 
     @cached_property
     def wavefield(self) -> Wavefield:
         """Displacement of every point of :attr:`field_mesh`, the mesh's vertices first, for any drive; DataError if it
         belongs to another mesh."""
-        field = load_wavefield(self.path("wavefield.npz"))
+        field = self._read("wavefield.nc", lambda file: load(file, Wavefield))
         if len(field.modes) != len(self.field_mesh.points):
             raise DataError(
-                f"{self.folder}: wavefield.npz has {len(field.modes)} points, mesh.vtu {len(self.field_mesh.points)} "
-                f"with its skin's middles; they are of different runs, {self.remedy('wavefield.npz')} anew"
+                f"{self.folder}: wavefield.nc has {len(field.modes)} points, mesh.vtu {len(self.field_mesh.points)} "
+                f"with its skin's middles; they are of different runs, {self.remedy('wavefield.nc')} anew"
             )
         return field
 
     @property
     def has_field(self) -> bool:
         """True if the motion between the ports is known."""
-        return self.has("wavefield.npz") and self.has("mesh.vtu")
+        return self.has("wavefield.nc") and self.has("mesh.vtu")
 
     @cached_property
     def record(self) -> Record:

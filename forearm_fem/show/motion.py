@@ -95,7 +95,7 @@ def default_times() -> FloatArray:
 def check_view(results: Results, view: View) -> None:
     """Raise DataError for a view that the results cannot give."""
     if not results.has_field:
-        missing = "mesh.vtu" if not results.has("mesh.vtu") else "wavefield.npz"
+        missing = "mesh.vtu" if not results.has("mesh.vtu") else "wavefield.nc"
         remedy = results.remedy(missing)
         layered = results.has("scenario.json") and results.scenario.engine == "layered"
         if layered or (results.has("run.json") and results.run.solution.solver == "library"):

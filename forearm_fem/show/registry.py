@@ -65,7 +65,7 @@ _FIXED = (
     FigureKind("impedance", "Driving-point impedance", device.impedance, device.plot_impedance,
                optional=("compliance",)),
     FigureKind("wavefield", "The skin at the moment of focus", film.wavefield, film.plot_wavefield, needs=_SIGNALS,
-               optional=("mesh.vtu", "wavefield.npz")),
+               optional=("mesh.vtu", "wavefield.nc")),
     FigureKind("mesh", "The mesh cut open", mesh.cutaway, mesh.plot_cutaway, optional=("mesh.vtu",)),
     FigureKind("errors", "Estimated errors of G by source", judge.errors, judge.plot_errors, optional=("errors",)),
     FigureKind("strength", "Signal strength over the targets", lambda r: judge.strengths(r).to_xarray(),

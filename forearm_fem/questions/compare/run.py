@@ -6,9 +6,10 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from ...device.loop import close_loop
 from ...engines.engine import Engine
@@ -18,10 +19,12 @@ from ...files.declaration import Declaration, arbitrary_gain, declared_by
 from ...files.read import read
 from ...geometry.device.layout import planform_ports
 from ...metrics.common_ground import common_ground
+from ...notebook import Manners, place
 from ...ports import Port
 from ...progress import Progress, tell, within
 from ...results.files import write_transfer
 from ...scenario import Scenario
+from ...show.style import INK
 from ...store.folder import check_kind, set_kind, write_text
 from ...store.text import plain
 from ...transfer import UNITS, ErrorEstimate, TransferMatrix
@@ -39,7 +42,10 @@ from .parameters import (
     fem_model_for,
 )
 from .readings import explained, mistake
-from .report import FILES, as_markdown, save_report
+from .report import FILES, answer_lines, as_markdown, picture, save_report
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 FIT_FILES = ("fit.json", "fit.md", "fitted.nc")
 _QUIET = 0.1  # of the misfit: what the layered model's own error is told from
@@ -47,13 +53,48 @@ _ANY = 100.0  # times either way that an arbitrary gain may be off the ratio to 
 __all__ = ["CompareResult", "FitCommandResult", "run_compare", "run_fit"]
 
 
-@dataclass(frozen=True, eq=False)
-class CompareResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class CompareResult(Manners):
     """The comparison, its table as text and the files written (none without a folder)."""
 
     comparison: Comparison
     text: str
     files: tuple[Path, ...]
+
+    @property
+    def line(self) -> str:
+        """How far apart, and where."""
+        return answer_lines(self.comparison)[0]
+
+    @property
+    def rows(self) -> list[list[str]]:
+        """||B - A|| / ||A|| of each entry."""
+        g, error = self.comparison.ground, self.comparison.agreement.error
+        return [["point", *(p.name for p in g.inputs)],
+                *([p.name, *(f"{e:.3g}" for e in row)] for p, row in zip(g.outputs, error, strict=True))]  # fmt: skip
+
+    def sel(self, output: str, input: str) -> float:
+        """||B - A|| / ||A|| [-] of one point by one actuator."""
+        g = self.comparison.ground
+        o = place([p.name for p in g.outputs], output, "point")
+        return float(self.comparison.agreement.error[o, place([p.name for p in g.inputs], input, "actuator")])
+
+    def to_xarray(self) -> xr.Dataset:
+        """Both G at the frequencies that both cover."""
+        import xarray as xr
+
+        g, dimensions = self.comparison.ground, ("frequency", "output", "input")
+        values = {n: (dimensions, np.where(g.valid, v, np.nan), {"units": g.unit}) for n, v in (("a", g.a), ("b", g.b))}
+        sides = {"output": [p.name for p in g.outputs], "input": [p.name for p in g.inputs]}
+        return xr.Dataset(values, {"frequency": g.frequency, **sides})
+
+    def plot(self) -> Figure:
+        """The worst entry, e(f), likeness of frequencies, and S of drives played on the other."""
+        return picture(self.comparison)
+
+    def save(self, folder: str | Path) -> tuple[Path, ...]:
+        """Write report, picture and numbers into ``folder``."""
+        return save_report(self.comparison, folder)
 
 
 def run_compare(
@@ -107,8 +148,8 @@ def _name(what: str | Path | TransferMatrix, otherwise: str) -> str:
     return file.resolve().parent.name if file.name == "transfer.nc" else file.name
 
 
-@dataclass(frozen=True, eq=False)
-class FitCommandResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class FitCommandResult(Manners):
     """The fit, the fitted scenario's model of G on the frequencies used, a text and the files written.
 
     ``following`` is the next best measurement, ``reduction`` e_band that a reduced model of finite elements states for
@@ -122,6 +163,57 @@ class FitCommandResult:
     numerics: str
     text: str
     files: tuple[Path, ...]
+    asked: Mapping[str, Any]
+    notes: tuple[str, ...]
+
+    @property
+    def line(self) -> str:
+        """Values and misfit."""
+        found = ", ".join(f"{n} {v:.4g}" for n, v in self.fit.values.items())
+        return f"{found}; misfit {self.fit.e_band:.2g} (e_band)"
+
+    @property
+    def rows(self) -> list[list[str]]:
+        """Each parameter with its 95 % interval."""
+        head = ["parameter", "value", "from", "to", "unit"]
+        units = {p.name: p.unit for p in self.fit.parameters}
+        return [head, *([n, *(f"{x:.4g}" for x in self.sel(n)), units[n]] for n in self.fit.values)]
+
+    def sel(self, parameter: str) -> tuple[float, float, float]:
+        """Value and 95 % bounds of a parameter, by its key or the short name that was asked for."""
+        names = list(self.fit.values)
+        short = [n for n in names if n.endswith(f".{parameter}")]
+        name = short[0] if len(short) == 1 else names[place(names, parameter, "parameter")]
+        return (self.fit.values[name], *self.fit.interval[name])
+
+    def to_xarray(self) -> xr.Dataset:
+        """Values, deviations, bounds and correlations by parameter."""
+        import xarray as xr
+
+        names = list(self.fit.values)
+        table = np.array([self.sel(n) for n in names]).T
+        numbers = dict(zip(("value", "low", "high"), table, strict=True))
+        numbers["deviation"] = np.array([self.fit.deviation[n] for n in names])
+        correlation = (("parameter", "other"), self.fit.correlation)
+        return xr.Dataset(
+            {**{n: ("parameter", v) for n, v in numbers.items()}, "correlation": correlation},
+            {"parameter": names, "other": names},
+        )
+
+    def plot(self) -> Figure:
+        """Where each value lies in the range that was allowed, with its 95 % interval."""
+        figure = Figure(figsize=(5.0, 0.6 + 0.4 * len(self.fit.parameters)), layout="constrained")
+        axes = figure.add_subplot()
+        for k, p in enumerate(self.fit.parameters):
+            value, low, high = (p.to_unit(min(max(x, p.lower), p.upper)) for x in self.sel(p.name))
+            axes.errorbar(value, k, xerr=[[max(value - low, 0)], [max(high - value, 0)]], fmt="o", color=INK)
+        axes.set_yticks(range(len(self.fit.parameters)), [p.name for p in self.fit.parameters])
+        axes.set(xlim=(-0.03, 1.03), xlabel="place in the allowed range")
+        return figure
+
+    def save(self, folder: str | Path) -> tuple[Path, ...]:
+        """Write fit.json, fit.md and the fitted G into ``folder``."""
+        return _save_fit(Path(folder), self.asked, self.fit, self.model, self.text, self.notes)
 
 
 def run_fit(
@@ -184,7 +276,7 @@ def run_fit(
     notes = (*_explained(data, (begun, best)), *_biased(data), *numerical, following.sentence)
     text = fit_text(result, notes)
     files = () if folder is None else _save_fit(Path(folder), asked, result, best, text, notes)
-    return FitCommandResult(result, best, following, reduction, numerics, text, files)
+    return FitCommandResult(result, best, following, reduction, numerics, text, files, asked, notes)
 
 
 def _rescaled(chosen: Sequence[Parameter], data: TransferMatrix, start: TransferMatrix) -> tuple[Parameter, ...]:

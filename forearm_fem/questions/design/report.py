@@ -18,6 +18,7 @@ from ...metrics.strength import strength_text
 from ...show.page import Block, Page, Picture, Section, embedded
 from ...show.registry import save_drawn
 from ...show.style import ACTUATORS, FAINT, GREY, INK, panels, styled, widen
+from ...show.track import track_record
 from ...store.folder import write_text
 from ...store.record import save_arrays
 from ...store.text import write_json
@@ -145,7 +146,7 @@ def write_design_report(result: DesignResult) -> None:
     write_text(out / "candidates.csv", table(result.candidates))
     write_text(out / "front.csv", table(result.front))
     write_json(out / "best.json", {"values": result.best.values, "candidate": result.best.as_json()})
-    _netcdf(result)
+    save_arrays(out / "candidates.nc", "design", arrays(result), {"design": result.design.asked.name})
     pictures = []
     for name, figure in (("device", plot_devices(result)), ("front", plot_front(result)), ("map", plot_map(result))):
         if figure is not None:
@@ -167,7 +168,8 @@ def row(c: Candidate) -> dict[str, Any]:
     return {**c.values, **numbers, **strengths, "not held": " ".join(c.violations), "problem": c.problem}
 
 
-def _netcdf(result: DesignResult) -> None:
+def arrays(result: DesignResult) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
+    """Values, numbers and S of all candidates: dimensions, array, units."""
     all_ = result.candidates
     targets = list(result.best.strengths)
     numbers = {
@@ -182,13 +184,11 @@ def _netcdf(result: DesignResult) -> None:
         if all(isinstance(c.values.get(key), int | float) for c in all_)
     }
     feasible = np.array([int(c.feasible) for c in all_], dtype=np.int8)
-    save_arrays(
-        result.folder / "candidates.nc", "design",
-        {**free, **numbers, "strength": (("candidate", "target"), s, {"units": "1"}),
-         "target": (("target",), np.array(targets, dtype=object), {}),
-         "feasible": (("candidate",), feasible, {"units": "1"})},
-        {"design": result.design.asked.name},
-    )  # fmt: skip
+    return {
+        **free, **numbers, "strength": (("candidate", "target"), s, {"units": "1"}),
+        "target": (("target",), np.array(targets, dtype=object), {}),
+        "feasible": (("candidate",), feasible, {"units": "1"}),
+    }  # fmt: skip
 
 
 def outcome_words(result: DesignResult) -> list[str]:
@@ -250,7 +250,8 @@ def design_page(result: DesignResult, pictures: Sequence[Picture] = ()) -> Page:
                 paragraphs=[f"{count} candidates; {len(bad)} not feasible{': ' + told if told else ''}. All are in "
                             "candidates.csv."]),
     ]  # fmt: skip
-    return Page(f"Design {result.design.asked.name}", outcome_words(result), sections, _stamp(result))
+    answer = [*outcome_words(result), track_record().sentence]
+    return Page(f"Design {result.design.asked.name}", answer, sections, _stamp(result))
 
 
 def _stamp(result: DesignResult) -> str:

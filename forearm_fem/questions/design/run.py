@@ -6,18 +6,19 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import psutil
 
 from ... import __version__
 from ...errors import ScenarioError
+from ...notebook import Manners
 from ...progress import Progress, tell, within
 from ...rendering.job import wavelet
 from ...results.run import read_run
@@ -31,6 +32,10 @@ from ..run import Run, run_all
 from .candidate import ArmModel, Candidate, TabulatedArm, evaluate, s_interval, score_of
 from .model import Design, Values
 from .search import pareto_front, planned, search
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import FigureBase
 
 
 @dataclass(frozen=True)
@@ -47,8 +52,8 @@ class Confirmation:
         return self.score / self.model - 1
 
 
-@dataclass(frozen=True)
-class DesignResult:
+@dataclass(frozen=True, repr=False)
+class DesignResult(Manners):
     """All candidates, the Pareto ``front``, the ``best`` with its ``interval`` of the score by the model's own errors
     and its ``confirmation`` (None where not asked), the ``reference``: the scenario's own device, and the keys of
     ``idle`` variables, at whose other values the best has the same numbers."""
@@ -62,6 +67,39 @@ class DesignResult:
     reference: Candidate
     confirmation: Confirmation | None
     idle: tuple[str, ...] = ()
+
+    @property
+    def line(self) -> str:
+        """The best device."""
+        from .report import outcome_words
+
+        return outcome_words(self)[0].rstrip(".")
+
+    @property
+    def rows(self) -> list[list[object]]:
+        """Devices on the Pareto front, each with its score."""
+        keys = list(self.best.values)
+        return [[*keys, "score"], *([*(c.values.get(k) for k in keys), f"{c.score:.3g}"] for c in self.front)]
+
+    def to_xarray(self) -> xr.Dataset:
+        """Values, numbers and S of every candidate."""
+        import xarray as xr
+
+        from .report import arrays
+
+        return xr.Dataset({name: (d, v, a) for name, (d, v, a) in arrays(self).items()})
+
+    def plot(self) -> FigureBase:
+        """Candidates, and the front among them."""
+        from .report import plot_front
+
+        return plot_front(self)
+
+    def save(self, folder: str | Path) -> None:
+        """Write report, pictures and tables into ``folder``."""
+        from .report import write_design_report
+
+        write_design_report(replace(self, folder=Path(folder)))
 
 
 def run_design(

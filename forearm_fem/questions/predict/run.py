@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from ... import __version__
 from ...device import close_loop
@@ -18,12 +20,13 @@ from ...engines.simulation import simulate
 from ...errors import AccuracyWarning, ForearmError, ScenarioError
 from ...fem.kernels.compiled import freed_memory_kept
 from ...geometry.device.layout import planform_ports
+from ...notebook import Manners, place
 from ...progress import Progress, tell, within
 from ...rendering.interval import Strength
 from ...rendering.job import RenderJob, check_servable, wavelet
 from ...rendering.lattice import is_thesis_grid
 from ...rendering.limits import counted_points
-from ...results.draws import DRAWS_FILE, DrawsFile, Outcome
+from ...results.draws import DRAWS_FILE, READINGS, DrawsFile, Outcome
 from ...scenario import Scenario
 from ...scenario.shipped import code_files, contents, named_files
 from ...scenario.sweep import frequencies
@@ -33,11 +36,16 @@ from ...store.shelf import WORK, Shelf
 from ...store.text import digest_of
 from ...store.work import LOST, done_once, light_workers, spread
 from ...transfer import UNITS, ErrorEstimate
+from ...typing import FloatArray
 from ...usercode import is_code, with_code_beside
 from .arm import ArmModel, LayeredArm, arm_model
-from .draws import LAWS, draw_inputs, each_name, load_priors, scenario_of
+from .draws import FASCIA, LAWS, draw_inputs, each_name, has_fascia, is_bare, load_priors, scenario_of
 from .outcome import Setup, outcome_of, setup_of
 from .statistics import Draws, draws_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import FigureBase
 
 DRAWS = 200
 POOL = 200  # draws that a model of finite elements is made from: the first ones, however many are asked for
@@ -68,13 +76,13 @@ class Question:
         priors = load_priors()
         content = [__version__, self.scenario.model_dump(mode="json", exclude={"name", "description"}), self.seed,
                    sorted(self.laws), sorted(self.held), self.layered, repr(priors.inputs), repr(priors.laws),
-                   {law: joint.mean.tolist() for law, joint in priors.joint.items()},
+                   [{law: j.mean.tolist() for law, j in part.items()} for part in (priors.joint, priors.bare)],
                    contents((*named_files(self.scenario), *code_files(self.laws)), self.base)]  # fmt: skip
         return digest_of(content)
 
 
-@dataclass(frozen=True, eq=False)
-class Prediction:
+@dataclass(frozen=True, eq=False, repr=False)
+class Prediction(Manners):
     """S of the scene itself with its numerical interval (``nominal``), and what arms do to it (``draws``).
 
     ``left_out`` says what the arms' model has not, ``unknown`` what of its error is in no band, ``held`` which inputs
@@ -90,6 +98,58 @@ class Prediction:
     reused: int
     seconds: float
     unknown: str = ""
+
+    @property
+    def line(self) -> str:
+        """S of each method over arms, in the mean of the targets: median, and 5 to 95 %."""
+        means = self.draws.reading("calibrated").mean(axis=2)
+        found = (np.quantile(column, (0.05, 0.5, 0.95)) for column in means.T)
+        said = (f"{m} {b:.3g} ({a:.3g} to {c:.3g})" for m, (a, b, c) in zip(self.draws.methods, found, strict=True))
+        return f"S over {len(means)} arms: {', '.join(said)}"
+
+    @property
+    def rows(self) -> list[list[str]]:
+        """5, 50 and 95 % of S over arms at each target."""
+        bands = np.quantile(self.draws.reading("calibrated"), (0.05, 0.5, 0.95), axis=0)
+        cells = np.moveaxis(bands, 0, -1)
+        return [["target", *self.draws.methods],
+                *([t, *(f"{b:.3g} ({a:.3g} to {c:.3g})" for a, b, c in cells[:, k])]
+                  for k, t in enumerate(self.draws.targets))]  # fmt: skip
+
+    def sel(self, method: str, target: str) -> FloatArray:
+        """S (n_draw,) of the arms by one method at one target."""
+        m, t = place(self.draws.methods, method, "method"), place(self.draws.targets, target, "target")
+        return np.asarray(self.draws.reading("calibrated")[:, m, t])
+
+    def to_xarray(self) -> xr.Dataset:
+        """S of every arm by reading, renderer and target, and the inputs that it hangs on."""
+        import xarray as xr
+
+        d = self.draws
+        return xr.Dataset(
+            {"S": (("draw", "reading", "renderer", "target"), d.strengths), "drivers": (("draw", "driver"), d.drivers)},
+            {"reading": list(READINGS), "renderer": list(d.methods), "target": list(d.targets),
+             "driver": list(d.names), "law": ("draw", list(d.laws))},
+        )  # fmt: skip
+
+    def plot(self) -> FigureBase:
+        """S of arms at every target beside that of the scene itself."""
+        from ...show.prediction import plot_bands
+        from .summary import summary
+
+        return plot_bands(summary(self, sobol=False))
+
+    def save(self, folder: str | Path, *, sobol: bool = True, progress: Progress | None = None) -> tuple[Path, Path]:
+        """Write page, pictures and ``prediction.json`` into ``folder``; with ``sobol`` indices where SALib is there."""
+        from ...show.prediction import write_prediction
+        from .summary import summary, write_summary
+
+        tell(progress, "report", 0, 1)
+        content = summary(self, sobol)
+        write_summary(folder, content)
+        files = write_prediction(folder, content)
+        tell(progress, "report", 1, 1)
+        return files
 
 
 @dataclass(frozen=True)
@@ -228,7 +288,8 @@ def _unknown(arm: ArmModel, errors: tuple[ErrorEstimate, ...]) -> str:
 
 def drawn(question: Question, setup: Setup, arm: ArmModel, number: int) -> Outcome:
     """Draw ``number``; an arm that cannot be is data, not an error."""
-    draw = draw_inputs(load_priors(), question.scenario, question.seed, number, question.laws)
+    bare = is_bare(question.scenario, setup.held)
+    draw = draw_inputs(load_priors(), question.scenario, question.seed, number, question.laws, bare=bare)
     try:
         with freed_memory_kept():
             return outcome_of(draw, setup, arm)
@@ -279,7 +340,9 @@ def _prepared(
 
 def pool(question: Question) -> list[Scenario]:
     """The arms that a model of finite elements is made from: the first 200 draws, and the scene itself."""
-    held, priors = expanded(question.held, question.scenario), load_priors()
+    fascia = () if has_fascia(question.scenario) else (FASCIA,)  # no mesh has one that the scene has not
+    held, priors = expanded((*question.held, *fascia), question.scenario), load_priors()
     numbers = range(POOL)
-    drawn = (draw_inputs(priors, question.scenario, question.seed, n, question.laws) for n in numbers)
+    bare = is_bare(question.scenario, held)
+    drawn = (draw_inputs(priors, question.scenario, question.seed, n, question.laws, bare=bare) for n in numbers)
     return [question.scenario, *(scenario_of(d, question.scenario, held) for d in drawn)]
