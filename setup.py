@@ -10,7 +10,7 @@ setup(
     package_data={
         "forearm_fem": [
             "**/*.mplstyle", "**/*.html.j2", "study/pages/**/*", "questions/predict/*.toml", "tissue_laws.json",
-            "show/workbench/page/*", "py.typed",
+            "track_record.json", "show/workbench/page/*", "py.typed",
         ],
         "forearm_fem._data.scenarios": ["*.toml"],
         "forearm_fem._data.meshes": ["*.vtu", "*.json", "sample/*.stl"],

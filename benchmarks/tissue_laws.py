@@ -2,7 +2,8 @@
 
     python3 benchmarks/tissue_laws.py
 
-For each law the inputs of questions/predict/priors.toml (tissues, tension, thicknesses) start from wide normals; DATA
+For each law the inputs of questions/predict/priors.toml (tissues, tension, thicknesses, fascia) start from wide
+normals; once more for arms without a deep fascia ("bare"), which the presets and scenes without that layer have. DATA
 moves them: least squares of the logarithms of data and of the inputs' deviates, and Laplace's covariance about the
 best point. Each datum's spread holds people and method, and sources that disagree are data side by side. Data of one
 kind and tissue together weigh as much as one of them: what is wanted is the spread of arms and methods, not that of
@@ -24,12 +25,12 @@ from scipy.optimize import least_squares
 
 from forearm_fem.layered import Disc, Layer, Surface, layered_compliance
 from forearm_fem.metrics import fit_waves
-from forearm_fem.questions.predict.draws import SOFT, Prior, law_parameters, wide_priors
+from forearm_fem.questions.predict.draws import FASCIA, SOFT, Prior, fascia_parameters, law_parameters, wide_priors
 from forearm_fem.tissue import LAWS, Law
 from forearm_fem.typing import FloatArray
 
 FILE = Path(__file__).resolve().parents[1] / "forearm_fem" / "tissue_laws.json"
-DENSITY, BULK = {"skin": 1100.0, "fat": 950.0, "muscle": 1060.0}, 2.2e9
+DENSITY, BULK = {"skin": 1100.0, "fat": 950.0, FASCIA: 1120.0, "muscle": 1060.0}, 2.2e9
 DRAWS, SEED = 4000, 0
 
 
@@ -103,8 +104,10 @@ def predicted(law: str, inputs: Mapping[str, Prior], z: FloatArray) -> FloatArra
     """What DATA would be for the deviates ``z`` of ``inputs``."""
     values = {name: prior.value(x) for (name, prior), x in zip(inputs.items(), z, strict=True)}
     moduli = {tissue: modulus(p) for tissue, p in law_parameters(law, values).items()}
-    thickness = {"skin": values["skin thickness"], "fat": values["fat thickness"], "muscle": math.inf}
-    layers = [Layer(thickness[t], DENSITY[t], moduli[t].at, BULK) for t in SOFT]
+    if "fascia modulus" in values:
+        moduli[FASCIA] = modulus({k: fascia_parameters(values["fascia modulus"])[k] for k in ("law", "mu", "eta")})
+    thickness = {t: values[f"{t} thickness"] for t in ("skin", "fat", FASCIA) if t in moduli} | {"muscle": math.inf}
+    layers = [Layer(h, DENSITY[t], moduli[t].at, BULK) for t, h in thickness.items()]
     surface = Surface(values["skin tension"])
     band = np.array([100.0, 200.0, 300.0])
     line = layered_compliance(layers, 2 * np.pi * band, [BALL], LINE, surface=surface, tolerance=1e-4).values[:, :, 0]
@@ -123,9 +126,9 @@ def _one(datum: Datum, law: Law | None, speed: Mapping[float, float], stiffness:
     return float({**known, "wave modulus": wave}[datum.what])
 
 
-def fitted(law: str) -> dict[str, Any]:
-    """Mean, covariance and what became of each datum."""
-    inputs = wide_priors().tissue_inputs(law)
+def fitted(law: str, *, bare: bool) -> dict[str, Any]:
+    """Mean, covariance and what became of each datum, on arms with a deep fascia or (``bare``) without one."""
+    inputs = wide_priors().tissue_inputs(law, bare)
     target = np.log([d.value for d in DATA])
     spread = np.log([d.spread for d in DATA]) * np.sqrt([sum(e.kind == d.kind for e in DATA) for d in DATA])
 
@@ -184,11 +187,11 @@ def _rounded(row: FloatArray) -> list[float]:
 
 def main() -> None:
     """Fit the laws, print how well each datum is met, and store the reference."""
-    laws = {law: fitted(law) for law in wide_priors().laws}
-    content = json.dumps({"made_by": "benchmarks/tissue_laws.py", "laws": laws}, indent=1)
+    both = {part: {law: fitted(law, bare=part == "bare") for law in wide_priors().laws} for part in ("laws", "bare")}
+    content = json.dumps({"made_by": "benchmarks/tissue_laws.py", **both}, indent=1)
     FILE.write_text(content + "\n", encoding="utf-8")
-    for law, found in laws.items():
-        print(f"{law}: rms misfit {found['misfit']:.2f} deviations")
+    for name, found in ((f"{law}, {part}", each) for part, laws in both.items() for law, each in laws.items()):
+        print(f"{name}: rms misfit {found['misfit']:.2f} deviations")
         for d in found["data"]:
             print(f"  {d['what']:13} {d['tissue']:7} {d['frequency']:5.0f} Hz  measured {d['measured']:8.4g}"
                   f" x/÷ {d['spread']:.1f}  fitted {d['median']:8.4g} ({d['low']:.4g}-{d['high']:.4g})")  # fmt: skip

@@ -420,8 +420,16 @@ def _zhang(name: str) -> TissueRecord:
     return _soft(name, density, mu, eta, "homogeneous half-space (preset Z)")
 
 
+def _fascia() -> TissueRecord:
+    """Deep fascia as an isotropic layer, stiff beside flesh and soft beside tendon."""
+    source = "physics_data.md 1.2: elastography in vivo 8-25 kPa, tensile tests across the fibres from 3 MPa (E)"
+    mu = Sourced(120e3, "Pa", 15e3, 1e6, 3.4, source)
+    eta = Sourced(24.0, "Pa s", 3.0, 200.0, 3.4, "judgement: a loss tangent of 0.19 at 150 Hz")
+    return _soft("fascia", _density(1120.0, 1076.0, 1166.0, 1.04), mu, eta, "no layer of the default limb")
+
+
 def _preset(*records: TissueRecord) -> Mapping[str, TissueRecord]:
-    return MappingProxyType({r.name: r for r in (*records, _bone())})
+    return MappingProxyType({r.name: r for r in (*records, _fascia(), _bone())})
 
 
 _FITTED_UNITS: Mapping[str, str] = MappingProxyType({"mu": "Pa", "mu_infinity": "Pa", "eta": "Pa s", "exponent": "-"})
@@ -430,7 +438,7 @@ _FITTED_UNITS: Mapping[str, str] = MappingProxyType({"mu": "Pa", "mu_infinity": 
 def _fitted(law: str) -> Mapping[str, TissueRecord]:
     """Preset of a law of bounded damping: tissue_laws.json, made by benchmarks/tissue_laws.py from data of skin, fat
     and muscle, of speeds and of stiffness, jointly; ranges and spreads hold people and the sources' disagreement."""
-    account = json.loads(files("forearm_fem").joinpath("tissue_laws.json").read_text(encoding="utf-8"))["laws"][law]
+    account = json.loads(files("forearm_fem").joinpath("tissue_laws.json").read_text(encoding="utf-8"))["bare"][law]
     records = []
     for name, numbers in account["tissues"].items():
         data = "; ".join(d["source"].partition(":")[0] for d in account["data"] if d["tissue"] in (name, ""))

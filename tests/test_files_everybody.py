@@ -548,6 +548,8 @@ VTK = b"# vtk DataFile Version 3.0\nx\nASCII\nDATASET UNSTRUCTURED_GRID\n"
     ("name", "content", "said"),
     [
         ("limb.msh", b"$NOD\n1\n1 0 0 0\n$ENDNOD\n", "gmsh's version 1"),
+        ("limb.msh", b'$MeshFormat\n2.0 0 8\n$EndMeshFormat\n$PhysicalNames\n1\n1 "fat"\n$EndPhysicalNames\n',
+         "format 2.0, whose names have no dimension"),
         ("limb.stl", b"solid\nendsolid\n", "is a surface"),
         ("limb.step", b"ISO-10303-21;", "CAD"),
         ("limb.vtu", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n", "Git LFS pointer"),

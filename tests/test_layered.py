@@ -333,3 +333,18 @@ def test_disc_potential_joins_at_the_rim():
     """Both hypergeometric forms give 2/(pi^2 a) at r = a."""
     r = np.array([1.0 - 1e-12, 1.0, 1.0 + 1e-12])
     assert np.allclose(disc_potential(r, 1.0), 2 / np.pi**2, rtol=1e-9)
+
+
+def test_a_tilted_point_feels_what_boussinesq_and_cerruti_say():
+    """Forces along z and x on a compressible half-space at 1 Hz: u_r = (1 - 2 nu) F/(4 pi mu r) away from where the
+    skin is pulled, and u_x = F/(2 pi mu r) ahead of, (1 - nu) F/(2 pi mu r) beside, a force along x."""
+    mu, nu, r = 1e4, 0.25, 0.01
+    body = [Layer(math.inf, 1000.0, lambda w: mu * (1 + 0.01j) + 0 * w, 2 * mu * (1 + nu) / (3 * (1 - 2 * nu)))]
+    x, y, up = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    forces = [Disc(0.0, 0.0, axis=up), Disc(0.0, 0.0, axis=x)]
+    points = [Disc(r, 0.0, axis=x), Disc(0.0, r, axis=y), Disc(0.0, r, axis=x), Disc(r, 0.0, axis=(0.6, 0.0, 0.8))]
+    found = layered_compliance(body, np.array([2 * np.pi]), forces, points).values[0] * 2 * np.pi * mu * r
+    pulled, pushed = found.T
+    # 1 Hz is static to (k_s r)^2 = 4e-4 of the wave's ends, and the loss is 1 %
+    assert pulled == pytest.approx([0.25, 0.25, 0, 0.6 * 0.25 + 0.8 * 0.75], abs=0.02)
+    assert pushed == pytest.approx([1, 0, 0.75, 0.6 * 1 + 0.8 * -0.25], abs=0.03)

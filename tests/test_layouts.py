@@ -55,6 +55,22 @@ def test_rows_of_different_lengths_interlock():
     assert np.allclose(np.array(staggered)[:, 1], [-0.025, -0.005, 0.015, -0.015, 0.005, 0.025])
 
 
+def test_the_distance_of_equation_6_by_hand():
+    """45 mm apart, target 20 mm along x and 5 mm along y from the first: (1 - d_x/D)(1 - d_y/D)."""
+    inputs, target = contacts([(0, 0), (0, 0.045), (0.045, 0), (0.045, 0.045)]), point(0.020, 0.005)
+    for distance, length in (("spacing", 0.045), ("diagonal", 0.045 * np.sqrt(2)), (0.0595, 0.0595)):
+        x, y = 1 - np.array([20, 25]) / (1e3 * length), 1 - np.array([5, 40]) / (1e3 * length)
+        by_hand = [x[0] * y[0], x[0] * y[1], x[1] * y[0], x[1] * y[1]]
+        assert funneling_weights(inputs, target, distance) == pytest.approx(by_hand, rel=1e-12)
+    three = contacts([(0.045 * i, 0.045 * j) for i in range(3) for j in range(2)])
+    far = funneling_weights(three, point(0.06, 0.01), "diagonal")
+    assert (far > 0).tolist() == [False, False, True, True, True, True]  # those around the target
+    with pytest.raises(GeometryError, match=r"shorter than the 0.045 m"):
+        funneling_weights(inputs, target, 0.02)
+    with pytest.raises(GeometryError, match="no rectangle"):
+        funneling_weights(contacts(SCATTERED), point(0.01, 0.01), "diagonal")
+
+
 @pytest.mark.parametrize("places", [SCATTERED, SCATTERED[:3], parse_scenario({"device": HEXAGON}).device.centres])
 def test_funneling_weights_put_the_centre_of_gravity_on_the_target(places):
     """The linear law: non-negative, summing to one, their mean place the target's, three actuators at most."""

@@ -6,6 +6,7 @@ import importlib.util
 import json
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -21,6 +22,7 @@ from forearm_fem.questions.predict.draws import (
     draw_inputs,
     law_parameters,
     load_priors,
+    measured_of,
     moved_points,
     scenario_of,
     wide_priors,
@@ -44,8 +46,8 @@ def bench() -> ModuleType:
     return module
 
 
-def stored() -> dict:
-    return json.loads((ROOT / "forearm_fem" / "tissue_laws.json").read_text(encoding="utf-8"))["laws"]
+def stored(part: str = "laws") -> dict:
+    return json.loads((ROOT / "forearm_fem" / "tissue_laws.json").read_text(encoding="utf-8"))[part]
 
 
 def test_every_prior_has_a_source_and_says_how_it_is_known() -> None:
@@ -97,10 +99,10 @@ def test_each_law_reaches_the_data_it_claims(bench: ModuleType, law: str) -> Non
     assert account["misfit"] < 1
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_the_stored_fit_is_what_its_script_computes(bench: ModuleType, law: str) -> None:
+@pytest.mark.parametrize(("part", "law"), [*(("laws", law) for law in LAWS), ("bare", "zener")])
+def test_the_stored_fit_is_what_its_script_computes(bench: ModuleType, part: str, law: str) -> None:
     """At the best point each datum lies in the stored band, and the misfit with the deviates is stationary there."""
-    account, inputs = stored()[law], wide_priors().tissue_inputs(law)
+    account, inputs = stored(part)[law], wide_priors().tissue_inputs(law, part == "bare")
     assert account["names"] == list(inputs)
     found = bench.predicted(law, inputs, np.array(account["mean"]))
     for d, value in zip(account["data"], found, strict=True):
@@ -122,7 +124,7 @@ def test_the_joint_fit_is_a_narrower_distribution(law: str) -> None:
 def test_presets_of_bounded_damping_are_the_best_point_of_the_fit() -> None:
     priors = load_priors()
     for law in ("zener", "springpot"):
-        joint, inputs = priors.joint[law], priors.tissue_inputs(law)
+        joint, inputs = priors.bare[law], priors.tissue_inputs(law, bare=True)
         best = law_parameters(law, {n: inputs[n].value(x) for n, x in zip(joint.names, joint.mean, strict=True)})
         for tissue in SOFT:
             record = PRESETS[law][tissue]
@@ -150,7 +152,7 @@ def test_draws_do_not_depend_on_how_many_or_which_laws() -> None:
     assert draw_inputs(priors, SCENE, 8, 0).values != many[0].values
     alone = draw_inputs(priors, SCENE, 7, 3, ["zener"])
     assert alone.law == "zener"
-    same = {"fat thickness": False, "signal to noise": True, "gain A2": True, "grid x": True}
+    same = {"fat thickness": False, "arm motion": True, "gain A2": True, "grid x": True}
     for name, exact in same.items():
         if exact:
             assert alone.values[name] == many[3].values[name]
@@ -192,7 +194,13 @@ def test_a_draw_becomes_a_scenario() -> None:
     assert resolve_tissues(arm)["fat"].density == resolve_tissues(SCENE)["fat"].density
     assert arm.tissues.membrane.tension == draw.values["skin tension"]
     thickness = {layer.tissue: layer.thickness for layer in arm.limb.layers}
-    assert thickness == {t: draw.values[f"{t} thickness"] for t in ("skin", "fat")}
+    assert thickness == {t: draw.values[f"{t} thickness"] for t in ("skin", "fat", "fascia")}
+    assert resolve_tissues(arm)["fascia"].modulus.mu == draw.values["fascia modulus"]
+    assert scenario_of(draw, SCENE, held={"fascia thickness", "fascia modulus"}).limb.layers[-1].tissue == "fat"
+    own = SCENE.changed(
+        {"limb.layers": [{"tissue": "skin", "thickness": 1e-3}, {"tissue": "fascia", "thickness": 2e-3}]}
+    )
+    assert scenario_of(draw, own).limb.layers[1].thickness == draw.values["fascia thickness"]
     assert (arm.device.cone.radius / SCENE.device.cone.radius) ** 2 == pytest.approx(draw.values["contact area"])
     assert arm.device.coil.moving_mass == pytest.approx(draw.values["moving mass"])
     other = parse_scenario({"device": {"coil": {"moving_mass": 3.5e-3}, "gains": {"A1": 2.0}}})
@@ -201,7 +209,8 @@ def test_a_draw_becomes_a_scenario() -> None:
     assert drawn.gains["A1"] == pytest.approx(2 * draw.values["gain A1"])
     assert drawn.contact_springs["A4"] == draw.values["contact spring A4"]
     assert arm.rendering == SCENE.rendering
-    held = scenario_of(draw, SCENE, held={"tissue", "skin tension", "grid x", "grid y", "grid turn"})
+    own = {"tissue", "skin tension", "fascia thickness", "fascia modulus", "grid x", "grid y", "grid turn"}
+    held = scenario_of(draw, SCENE, held=own)
     assert held.tissues == SCENE.tissues
     assert held.grid == SCENE.grid
 
@@ -211,6 +220,22 @@ def test_the_grid_is_turned_and_shifted_as_a_whole() -> None:
     moved = np.array(moved_points(SCENE, values))
     places = np.array(SCENE.grid.places)
     assert moved == pytest.approx(np.column_stack([-places[:, 1] + 1e-3, places[:, 0] - 2e-3]), abs=1e-15)
+
+
+def test_the_laser_meets_points_that_slip_evenly_and_are_aimed_at_each() -> None:
+    """Without aim the nine points lie on their grid moved in proportion to when they were measured."""
+    draw = draw_inputs(load_priors(), SCENE, 1, 2)
+    arm = scenario_of(draw, SCENE)
+    only = {"laser aim", "device slip, turn", "laser direction"}
+    slipped = np.array(measured_of(draw, arm, only).grid.places) - np.array(arm.grid.places)
+    assert slipped == pytest.approx(np.linspace(-1, 1, 9)[:, None] * slipped[-1], abs=1e-12)
+    assert 0 < np.linalg.norm(slipped[-1]) < 2 * draw.values["device slip"]
+    still = {*only, "device slip"} - {"laser aim"}
+    aimed = np.array(measured_of(draw, arm, still).grid.places) - np.array(arm.grid.places)
+    assert np.sqrt(np.mean(aimed**2)) == pytest.approx(draw.values["laser aim"], rel=0.5)  # 18 normals: 17 %, three
+    upright = replace(draw, values={**draw.values, "laser direction": 1.0})
+    assert measured_of(upright, arm).grid.direction == "vertical"
+    assert measured_of(draw, arm, draw.values) == arm
 
 
 def test_the_side_of_the_wrist_touches_less() -> None:
@@ -238,7 +263,7 @@ def test_layers_of_one_tissue_share_what_is_drawn_for_it() -> None:
     told = [{"tissue": t, "thickness": d} for t, d in layers]
     scene = parse_scenario({"limb": {"shape": "slab", "length": 0.12, "width": 0.12, "depth": 0.04, "layers": told}})
     draw = draw_inputs(load_priors(), scene, 0, 3)
-    skin, under, fat = (layer.thickness for layer in scenario_of(draw, scene).limb.layers)
+    skin, under, fat, _ = (layer.thickness for layer in scenario_of(draw, scene).limb.layers)
     assert skin + under == pytest.approx(draw.values["skin thickness"])
     assert under / skin == pytest.approx(2.0)
     assert fat == pytest.approx(draw.values["fat thickness"])

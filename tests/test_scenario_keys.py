@@ -55,7 +55,9 @@ VALUES: Mapping[str, Any] = {
     "mesh.max_elements": 1.0,
     "mesh.min_quality": 0.999,
     "mesh.sublayers": {"skin": 3},
+    "grid.direction": "vertical",
     "rendering.clearance": 0.02,  # to the outer points
+    "rendering.funneling_distance": "diagonal",
     "rendering.methods": ["funneling"],
     "rendering.regularisation": "lcurve",
     "rendering.regularisation_value": 0.95,

@@ -106,7 +106,7 @@ def test_presets_are_sourced_within_range_and_immutable(preset: str) -> None:
             assert p.low <= p.value <= p.high
             assert p.draw(0.0) == p.value
             assert p.draw(1.0) / p.value == pytest.approx(p.spread)
-    assert set(PRESETS[preset]) == {"skin", "fat", "muscle", "bone"}
+    assert set(PRESETS[preset]) == {"skin", "fat", "fascia", "muscle", "bone"}
     with pytest.raises(TypeError):
         PRESETS[preset]["skin"] = None  # type: ignore[index]
 

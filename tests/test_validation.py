@@ -17,7 +17,7 @@ from forearm_fem.metrics import thesis_table
 from forearm_fem.questions.predict import validate as module
 from forearm_fem.questions.predict.published import SHAH_ARMS, TARGETS, Arm, Target, fat_of, motor_ratios, observables
 from forearm_fem.questions.predict.run import Question
-from forearm_fem.questions.predict.statistics import Draws
+from forearm_fem.questions.predict.statistics import Draws, group_deviations, log_score
 from forearm_fem.questions.predict.validate import validate
 from forearm_fem.results.files import write_transfer
 from forearm_fem.scenario import Scenario, parse_scenario
@@ -126,19 +126,19 @@ def table_of(values: np.ndarray) -> Draws:
 def test_table_one_is_judged_entry_by_entry_and_jointly() -> None:
     rng = np.random.default_rng(0)
     table = table_of(np.exp(0.2 * rng.standard_normal(400)))
-    found = module._table_one(table, "calibrated")
+    found = module._table_one(table, "reported")
     assert found["all"]["inside"] == 9
     assert set(found) == {"all", "zener", "springpot"}
     # a band of 90 % of a log-normal is x/÷ exp(1.645 s)
     assert found["all"]["width"] == pytest.approx(math.exp(1.645 * 0.2), rel=0.06)
-    apart = module._table_one(table_of(3 * np.exp(0.2 * rng.standard_normal(400))), "calibrated")
+    apart = module._table_one(table_of(3 * np.exp(0.2 * rng.standard_normal(400))), "reported")
     assert apart["all"]["inside"] == 0
     assert apart["all"]["beyond"] == 0
     assert apart["all"]["distance"] > 4
     assert found["all"]["order"][0][0] == "combination"
     turned = replace(table, methods=table.methods[::-1], strengths=table.strengths[:, :, ::-1])
     entries, others = (
-        {(e["method"], e["group"]): e for e in module._table_one(t, "calibrated")["all"]["entries"]}
+        {(e["method"], e["group"]): e for e in module._table_one(t, "reported")["all"]["entries"]}
         for t in (table, turned)
     )
     assert others == entries  # methods are told by name
@@ -147,7 +147,7 @@ def test_table_one_is_judged_entry_by_entry_and_jointly() -> None:
 def test_few_arms_say_nothing_of_a_joint_distance_and_no_band_of_a_law() -> None:
     """Seven arms span six directions of nine: a point in the others counted as near as the rest."""
     rng = np.random.default_rng(0)
-    few, enough = (module._table_one(table_of(np.exp(0.2 * rng.standard_normal(n))), "calibrated") for n in (18, 46))
+    few, enough = (module._table_one(table_of(np.exp(0.2 * rng.standard_normal(n))), "reported") for n in (18, 46))
     assert set(few) == {"all"}
     assert few["all"]["distance"] is None
     assert few["all"]["beyond"] is None
@@ -218,11 +218,25 @@ def test_observables_resume_and_other_questions_start_anew(
 ) -> None:
     found, folder = whole
     monkeypatch.setattr(module, "observables", lambda arm: pytest.fail("a finished draw was measured again"))
-    rows = module._observed(Question(parse_scenario(SMALL), Path()), folder, 21, True, None)
+    once = parse_scenario({**SMALL, "measurement": {"repeats": 1}})  # as the thesis measured
+    rows = module._observed(Question(once, Path()), folder, 21, True, None)
     assert len(rows) == 21
     with pytest.raises(pytest.fail.Exception, match="measured again"):
         module._observed(Question(parse_scenario(SMALL), Path(), seed=7), folder, 1, True, None)
     assert found["draws"] == 21
+
+
+def test_deviations_and_the_score_by_hand() -> None:
+    """S of four edges 1, 2, 3, 4 has a deviation of sqrt(5/3); a density of normals is that of their logarithms."""
+    groups = {"edges": [0, 1, 2, 3], "middle": [4]}
+    found = group_deviations(np.array([[[1.0, 2.0, 3.0, 4.0, 9.0]]]), groups)
+    assert found[0, 0, 0] == pytest.approx(math.sqrt(5 / 3))
+    assert np.isnan(found[0, 0, 1])
+    logs = np.random.default_rng(0).standard_normal((20000, 2)) * [0.5, 2.0]
+    at = np.array([0.3, -1.0])
+    by_hand = -0.5 * np.sum((at / [0.5, 2.0]) ** 2) - math.log(2 * math.pi) - math.log(0.5 * 2.0)
+    assert log_score(np.exp(logs), np.exp(at)) == pytest.approx(by_hand, abs=0.05)  # 20,000 draws: 1 % of a deviation
+    assert np.isnan(log_score(np.exp(logs[:9]), np.exp(at)))
 
 
 def test_a_scene_of_another_device_or_stimulus_is_told_from_the_thesis(whole: tuple[dict[str, Any], Path]) -> None:

@@ -44,7 +44,7 @@ def predict(
     ] = None,
     hold: Annotated[
         list[str] | None,
-        typer.Option(help="keep the scenario's value of an input or group, e.g. tissue, placement, 'signal to noise'"),
+        typer.Option(help="keep the scenario's value of an input or group, e.g. tissue, placement, 'arm motion'"),
     ] = None,
     layered: Annotated[
         bool, typer.Option("--layered/--own", help="arms on the layered model, or by the scene's own engine")

@@ -101,15 +101,27 @@ def flat_ports(scenario: Scenario) -> tuple[Port, ...]:
         raise ScenarioError(_no_layers(scenario))
     layout = layout_of(scenario)
     places = np.vstack([layout.contacts, layout.points])
+    normals = skin(places)[1]
     return tuple(
-        replace(port, position=(float(x), float(y), 0.0), axis=(0.0, 0.0, 1.0))
-        for port, (x, y) in zip(ports_on(scenario, skin), places, strict=True)
+        replace(port, position=(float(x), float(y), 0.0), axis=_flat_axis(np.array(port.axis), normal))
+        for port, (x, y), normal in zip(ports_on(scenario, skin), places, normals, strict=True)
     )
+
+
+def _flat_axis(axis: FloatArray, normal: FloatArray) -> tuple[float, float, float]:
+    """An axis on a limb as the unrolled skin has it: parts along x, along y and along the ``normal``."""
+    if np.allclose(axis, normal, rtol=0, atol=1e-12):
+        return 0.0, 0.0, 1.0
+    along = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    along = along / np.linalg.norm(along)
+    return float(axis @ along), float(axis @ np.cross(normal, along)), float(axis @ normal)
 
 
 def flat_disc(port: Port) -> Disc:
     """The port as a disc of the layered body."""
-    return Disc(*port.position[:2]) if port.kind == "point" else Disc(*port.position[:2], port.radius, port.contact)
+    if port.kind == "point":
+        return Disc(*port.position[:2], axis=port.axis)
+    return Disc(*port.position[:2], port.radius, port.contact)
 
 
 def flat_layers(scenario: Scenario) -> list[Layer]:

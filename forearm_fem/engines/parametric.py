@@ -132,6 +132,8 @@ class ParametricModel:
 
     def follows(self, scenario: Scenario) -> bool:
         """True if the grid of ``scenario`` can be read where it lies."""
+        if scenario.grid.direction != self.scenario.grid.direction:
+            return False
         own = scenario.grid.places == self.scenario.grid.places
         return own or (self.around is not None and self.around.hold(scenario))
 

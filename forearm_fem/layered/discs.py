@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal
 
@@ -29,23 +29,40 @@ _NEVER = 99  # place from the end of tractions that no shorter series leaves out
 _BESIDE = 6  # terms at most, less two per order, of what answers neighbours
 
 
+UPRIGHT = (0.0, 0.0, 1.0)
+
+
 @dataclass(frozen=True)
 class Disc:
     """A disc on the surface, centre (x, y) and radius [m]; radius 0 is a point.
 
     ``contact``: uniform ``pressure`` (its displacement is the mean over it), or a rigid disc that moves along its
-    normal only, ``bonded`` or ``frictionless``, as the finite elements have them (:mod:`forearm_fem.ports`).
+    normal only, ``bonded`` or ``frictionless``, as the finite elements have them (:mod:`forearm_fem.ports`). A point
+    may have an ``axis`` of its own along x, y and the outward normal; one that moves with a rigid disc shows what that
+    has along it.
     """
 
     x: float
     y: float
     radius: float = 0.0
     contact: Contact = "pressure"
+    axis: tuple[float, float, float] = UPRIGHT
+    component: Component = "z"
 
     @property
     def rigid(self) -> bool:
         """True if the skin under it moves as one."""
         return self.contact != "pressure"
+
+    @property
+    def parts(self) -> tuple[tuple[Disc, complex], ...]:
+        """Discs with tractions along the components, and the share of each: tractions have z into the body, so that x
+        and y turn round (see :meth:`Galerkin.free_compliance`)."""
+        if self.axis == UPRIGHT or self.radius > 0:
+            return ((self, 1.0),)
+        x, y, z = self.axis
+        shares: dict[Component, complex] = {"z": z, "+": -(x + 1j * y), "-": -(x - 1j * y)}
+        return tuple((replace(self, axis=UPRIGHT, component=c), share) for c, share in shares.items())
 
 
 @dataclass(frozen=True)
@@ -63,7 +80,7 @@ class Traction:
 def port_traction(disc: Disc) -> Traction:
     """The traction with a unit net force."""
     kind: Literal["ball", "mean", "point"] = "ball" if disc.rigid else "mean" if disc.radius > 0 else "point"
-    return Traction("z", 0, Radial(kind, disc.radius))
+    return Traction(disc.component, 0, Radial(kind, disc.radius))
 
 
 def inner_tractions(disc: Disc, surface: Surface, terms: int, orders: int) -> list[Traction]:
@@ -288,7 +305,7 @@ def galerkin(discs: Sequence[Disc], surface: Surface, terms: int, orders: int) -
         owner += [i] * len(inner)
     where = np.array([(disc.x, disc.y) for disc in discs])[owner]
     carrying = {(owner[i], t.component): i for i, t in enumerate(tractions)
-                if t.m == 0 and t.radial.degree == 0 and t.radial.kind != "ring"}  # fmt: skip
+                if t.m == 0 and t.radial.degree == 0 and t.radial.kind not in ("ring", "point")}  # fmt: skip
     rings = [(i, carrying[owner[i], t.component]) for i, t in enumerate(tractions)
              if t.radial.kind == "ring" and t.m == 0]  # fmt: skip
     grips = [[carrying[i, sign] for sign in ("+", "-")] for i in range(len(discs)) if (i, "+") in carrying]

@@ -11,11 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
+from scipy.linalg import block_diag
 
 from ..errors import AccuracyWarning
 from ..progress import Progress, tell
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
-from .discs import Disc, Galerkin, galerkin
+from .discs import UPRIGHT, Disc, Galerkin, galerkin
 from .integrals import LOW_LOSS, Integrals, Medium
 from .kernel import Base, Layer, Surface, check_layers
 
@@ -177,7 +178,7 @@ def layered_compliance(
     medium = Medium(tuple(layers), base, surface or Surface())
     if np.any(medium.loss(omega) < 0):
         raise ValueError("expected Im(modulus) >= 0 (convention e^{+i omega t}), got a layer that feeds energy in")
-    discs, rows, columns = distinct(discs_in, discs_out)
+    discs, rows, columns, seen, driven = _components(discs_in, discs_out)
     terms = terms_of(discs, medium, omega) if terms is None else terms
     system = galerkin(discs, medium.surface, terms, scattered_orders(discs) if orders is None else orders)
     expected = min(omega.size, MOST + 1)
@@ -191,8 +192,14 @@ def layered_compliance(
     quadrature, truncation = errors.T
     if np.any(quadrature > tolerance):
         warnings.warn(f"layered: error {quadrature.max():.1e} > tolerance {tolerance:.1e}", AccuracyWarning, 2)
-    out[:, system.points, system.points] = np.nan
     values = out[:, rows][:, :, columns]
+    if seen is not None and driven is not None:
+        values = seen @ values @ driven.T
+    rigid = [disc for disc in discs if disc.rigid]
+    free = {(d.x, d.y) for d in (*discs_in, *discs_out) if d.radius == 0 and _carrier(d, rigid) is d}
+    alone = [[a.radius == b.radius == 0 and (a.x, a.y) == (b.x, b.y) and (a.x, a.y) in free for b in discs_in]
+             for a in discs_out]  # fmt: skip
+    values[:, np.array(alone, dtype=bool)] = np.nan
     return LayeredResult(values, quadrature, truncation, interpolation, evaluate.n_kernel)
 
 
@@ -240,6 +247,26 @@ def scattered_orders(discs: Sequence[Disc]) -> int:
             if a is not b and a.rigid and b.radius > 0]  # fmt: skip
     ratio = min(max(gaps, default=0.1), 0.99)
     return min(max(math.ceil(math.log(_SCATTERED) / (2 * math.log(ratio))), _ORDERS[0]), _ORDERS[1])
+
+
+def _components(
+    discs_in: Sequence[Disc], discs_out: Sequence[Disc]
+) -> tuple[list[Disc], IntArray, IntArray, ComplexArray | None, ComplexArray | None]:
+    """As :func:`distinct` of the components of all discs, and what each output and input has of them (n, n_components);
+    None where all stand upright."""
+    if all(disc.axis == UPRIGHT for disc in (*discs_in, *discs_out)):
+        return *distinct(discs_in, discs_out), None, None
+    rigid = [disc for disc in (*discs_in, *discs_out) if disc.rigid]
+    both = []
+    for discs in (discs_in, discs_out):
+        parts = [
+            [(part, share) for part, share in disc.parts if part.component == "z" or _carrier(part, rigid) is part]
+            for disc in discs
+        ]
+        shares = block_diag(*[np.array([[share for _, share in each]], dtype=complex) for each in parts])
+        both.append(([part for each in parts for part, _ in each], shares))
+    (inputs, driven), (outputs, seen) = both
+    return *distinct(inputs, outputs), seen, driven
 
 
 def _check_omega(omega: FloatArray, tolerance: float) -> None:

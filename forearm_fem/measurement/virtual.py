@@ -7,18 +7,21 @@ estimate has comes from the noise, the converter and the estimator.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from ..errors import DataError, HardwareError
 from ..rendering.spectrum import Record, on_record_bins
-from ..scenario.measurement import Quantity
+from ..scenario.measurement import Quantity, RigOptions
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from ..units import to_displacement
+from .chain import Disturbance, with_entry_errors
 from .daq import Wiring
+
+_ENTRIES = 0x6761696E  # random numbers of entries' gains, apart from those of the noise
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,7 @@ class VirtualOptions:
     """Noise, converter, amplifier and latency of a virtual device.
 
     ``noise`` [V rms] is white and added before the converter; :func:`noise_for` finds it for a signal-to-noise ratio.
+    ``rig`` is what the arm and the vibrometer add in front of the sensor's output, and to each entry of G.
     ``bits`` 0 = no quantisation. ``latency`` [samples] delays the inputs, ``ahead`` is the driver's queue.
     ``amplifier_gain`` lies between the outputs and the actuators.
     """
@@ -73,6 +77,7 @@ class VirtualOptions:
     seed: int = 0
     amplifier_gain: float = 1.0
     sensor: VirtualSensor = VirtualSensor()
+    rig: RigOptions = field(default_factory=RigOptions)
     faults: Faults = Faults()
 
 
@@ -86,13 +91,15 @@ class VirtualDaq:
         self._options = options
         self._record = Record.of(sample_rate, duration)
         self._outputs = tuple(p.name for p in transfer.outputs)
-        self._kernel = _kernels(transfer, self._record, options)
+        swept = with_entry_errors(transfer, options.rig, np.random.default_rng([options.seed, _ENTRIES]))
+        self._kernel = _kernels(swept, self._record, options)
         self._range, self._point = 10.0, 0
         self._driven: int | None = None
         self._times: dict[tuple[int, int], int] = {}
         self._tail = self._cable = np.zeros(0)
         self._history = np.zeros((1, 0))
         self._rng = np.random.default_rng(options.seed)
+        self._moving: Disturbance | None = None
         self._tick = 0
         self._late = np.zeros((1, 0))
         self._wiring: Wiring | None = None
@@ -133,7 +140,7 @@ class VirtualDaq:
             )
         self._wiring, self._range = wiring, wiring.input_range
         self._rng = np.random.default_rng([self._options.seed, self._point, 0])
-        self._driven = None
+        self._driven = self._moving = None
         self._tick = 0
         self._late = np.zeros((len(wiring.inputs), 0))
         self._tail = np.zeros(self._record.n - 1)
@@ -151,8 +158,8 @@ class VirtualDaq:
         # what a cable from the driven output brings back: as late as the sensor, by the same inputs
         cable = np.concatenate([self._cable, block[np.argmax(np.abs(block).max(axis=1))]])
         self._cable = cable[m:]
-        rows = [self._sensor(block), cable[:m]][: len(self._wiring.inputs)]
         self._note_driven(block)
+        rows = [self._sensor(block), cable[:m]][: len(self._wiring.inputs)]
         noisy = np.stack(rows) + self._options.noise * self._rng.standard_normal((len(rows), m))
         clipped = np.clip(noisy, -self._range, self._range)
         volts = clipped if self._options.bits == 0 else np.round(clipped / self.resolution) * self.resolution
@@ -174,6 +181,10 @@ class VirtualDaq:
         pairs = self._kernel.shape[:2]
         turn = (times * pairs[0] + self._point) * pairs[1] + self._driven
         self._rng = np.random.default_rng([self._options.seed, self._point, turn])
+        rig, record = self._options.rig, self._record
+        if rig.noise or rig.motion:
+            quantity = self._options.sensor.quantity
+            self._moving = Disturbance(rig, quantity, record.sample_rate, record.n / record.sample_rate, self._rng)
 
     def close(self) -> None:
         """Nothing to silence."""
@@ -190,8 +201,11 @@ class VirtualDaq:
         faults, tick = self._options.faults, self._tick + np.arange(m)
         moved = np.zeros(m, dtype=bool) if faults.moved_at is None else tick >= faults.moved_at
         gain = (1 + faults.drift * tick / self._record.sample_rate) * np.where(moved, faults.moved_gain, 1.0)
-        limit = self._options.sensor.saturation
-        return np.asarray(np.clip(whole[:m] * (gain * (not faults.blind)), -limit, limit))
+        sensor = self._options.sensor
+        played = whole[:m] * (gain * (not faults.blind))
+        if self._moving is not None:
+            played = played + (-1 if sensor.inverted else 1) * sensor.sensitivity * self._moving.block(m)
+        return np.asarray(np.clip(played, -sensor.saturation, sensor.saturation))
 
     def _late_by_drop(self, volts: FloatArray) -> FloatArray:
         """From the lost buffer on, everything comes ``count`` samples late, with the last one repeated meanwhile."""

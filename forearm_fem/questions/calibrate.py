@@ -249,7 +249,7 @@ def calibration_plan(scenario: Scenario, virtual: VirtualSetup | None = None, *,
         virtual.transfer.inputs,
         ExponentialSweep.of(scenario),
         options.changed({"daq": daq, "sensor": sensor}),
-        simulated={**virtual.description, "sensor": sensor.model_dump(mode="json")},
+        simulated={**virtual.description, "sensor": sensor.model_dump(mode="json"), "rig": options.rig.model_dump()},
     )
 
 
@@ -271,8 +271,9 @@ def virtual_device(plan: Plan, virtual: VirtualSetup) -> VirtualDaq:
     noise = noise_for(virtual.snr_db, virtual.transfer, sweep.samples(), sweep.sample_rate, sensor)
     gain = plan.options.daq.amplifier_gain
     options = VirtualOptions(
-        noise, virtual.bits, virtual.latency, seed=virtual.seed, amplifier_gain=gain, sensor=sensor
-    )
+        noise, virtual.bits, virtual.latency, seed=virtual.seed, amplifier_gain=gain, sensor=sensor,
+        rig=plan.options.rig,
+    )  # fmt: skip
     return VirtualDaq(virtual.transfer, sweep.sample_rate, sweep.duration, options)
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
+from typing import Literal
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from ..errors import DataError, GeometryError
 from ..ports import Port, positions
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
 from .drives import Aim
-from .lattice import SLACK, lattice_of
+from .lattice import SLACK, PortLattice, lattice_of
 from .spectrum import BinnedTransfer
 
 # Actuators that form no rectangle: the line they lie on, or the triangles of nearest ones.
@@ -85,15 +87,19 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 # Funneling: all actuators send the same signal, the nearer ones more of it.
 
 Weights = Mapping[str, FloatArray]  # A_q / A (n_in,) by target
+Distance = Literal["spacing", "diagonal"] | float  # D of eq. 6 [m]
 
 
-def funneling_weights(inputs: tuple[Port, ...], target: Port) -> FloatArray:
-    """A_q / A (n_in,) [-]; they sum to 1.
+def funneling_weights(inputs: tuple[Port, ...], target: Port, distance: Distance = "spacing") -> FloatArray:
+    """A_q / A (n_in,) [-]; they sum to 1 where ``distance`` is the spacing.
 
     On a rectangle of N x M actuators eq. 6 of de Vlam 2022, (1 - d_x / D_x)(1 - d_y / D_y): the four around the target
-    share its weight, so that eq. 6 holds within each cell. On a line, its one-dimensional form between the two
-    neighbours. Any other layout: the target's barycentric coordinates in the triangle of nearest actuators
-    (:mod:`.triangles`), the linear law of three-actuator phantoms (US 10867526 B2, eq. 5).
+    share its weight, so that eq. 6 holds within each cell. D, "the maximum distances between the actuators", is the
+    cell's side along each axis; or its diagonal; or a length [m], which may not be shorter than a side.
+
+    On a line, the one-dimensional form of eq. 6 between the two neighbours. Any other layout: the target's barycentric
+    coordinates in the triangle of nearest actuators (:mod:`.triangles`), the linear law of three-actuator phantoms
+    (US 10867526 B2, eq. 5).
 
     Raises GeometryError for a single actuator, and where the target lies outside the actuators. The logarithmic law is
     not covered (the thesis took the linear one).
@@ -109,7 +115,11 @@ def funneling_weights(inputs: tuple[Port, ...], target: Port) -> FloatArray:
             _shares(at, lines, grid.slack, target.name)
             for at, lines in zip(grid.coordinates(target), (grid.rows, grid.columns), strict=True)
         ]
+        if distance != "spacing":
+            shares = _farther(grid, shares, target, distance)
         return np.asarray(shares[0][grid.place[:, 0]] * shares[1][grid.place[:, 1]])
+    if distance != "spacing":
+        raise GeometryError("rendering.funneling_distance: the actuators form no rectangle; leave it at 'spacing'")
     place, at = positions(inputs)[:, :2], positions((target,))[0, :2]
     if not (nearest := nearest_distance(place)) > 0:
         raise GeometryError("funneling, actuators: two of them lie at one place; give each its own")
@@ -128,6 +138,28 @@ def funneling_weights(inputs: tuple[Port, ...], target: Port) -> FloatArray:
     return weights
 
 
+def _farther(grid: PortLattice, shares: list[FloatArray], target: Port, distance: Distance) -> list[FloatArray]:
+    """Shares 1 - d / D of the lines of the target's cell along both axes, D one length for both."""
+    cell = [_cell(at, lines) for at, lines in zip(grid.coordinates(target), (grid.rows, grid.columns), strict=True)]
+    sides = [float(np.ptp(lines[inside])) for lines, inside in zip((grid.rows, grid.columns), cell, strict=True)]
+    length = math.hypot(*sides) if distance == "diagonal" else float(distance)
+    if length < max(sides):
+        raise GeometryError(
+            f"rendering.funneling_distance: {length:g} m is shorter than the {max(sides):g} m between actuators, and "
+            "shares would be negative; lengthen it"
+        )
+    return [
+        np.where(inside, 1 - np.abs(lines - at) / length, 0.0)
+        for at, lines, inside in zip(grid.coordinates(target), (grid.rows, grid.columns), cell, strict=True)
+    ]
+
+
+def _cell(at: float, lines: FloatArray) -> BoolArray:
+    """The two lines (n,) around a coordinate."""
+    first = int(np.clip(np.searchsorted(lines, at, side="right") - 1, 0, len(lines) - 2))
+    return np.isin(np.arange(len(lines)), (first, first + 1))
+
+
 def _shares(at: float, lines: FloatArray, slack: float, name: str, what: str = "rectangle") -> FloatArray:
     """Linear share of each line: 1 on it, 0 on its neighbours."""
     if not lines[0] - slack <= at <= lines[-1] + slack:
@@ -142,10 +174,12 @@ class Funneling:
 
     ``amplitude`` [V, or G's drive unit] is A. The drive is cut to the bins where the target's row of G is known, as in
     the other renderers, so that their displacements compare; an actuator never measured there stays silent. ``weights``
-    are A_q / A by target where they were found before (:meth:`precomputed_for_targets`).
+    are A_q / A by target where they were found before (:meth:`precomputed_for_targets`). ``distance`` is D of
+    eq. 6.
     """
 
     amplitude: float = 1.0
+    distance: Distance = "spacing"
     weights: Weights | None = field(default=None, repr=False, compare=False)
     name: str = "funneling"
 
@@ -153,7 +187,7 @@ class Funneling:
         """Drive spectra towards output ``target``; ``wavelet`` (n_bins,) [1/Hz]."""
         row = placed.row(target)
         found = (self.weights or {}).get(target)
-        weights = funneling_weights(placed.inputs, placed.outputs[row]) if found is None else found
+        weights = funneling_weights(placed.inputs, placed.outputs[row], self.distance) if found is None else found
         used = known_bins(placed, [row])
         weights = np.where(absent_inputs(placed, [row]), 0, weights)
         spectrum = self.amplitude * weights * np.where(used, wavelet, 0)[:, None]
@@ -161,13 +195,16 @@ class Funneling:
 
     def precomputed_for_targets(self, placed: BinnedTransfer, targets: Sequence[str]) -> Funneling:
         """The same renderer with the weights of ``targets``, for any G of the same ports."""
-        return replace(self, weights=settled_weights(self.weights, placed, targets))
+        return replace(self, weights=settled_weights(self.weights, placed, targets, self.distance))
 
 
-def settled_weights(weights: Weights | None, placed: BinnedTransfer, targets: Sequence[str]) -> Weights:
+def settled_weights(
+    weights: Weights | None, placed: BinnedTransfer, targets: Sequence[str], distance: Distance = "spacing"
+) -> Weights:
     """Weights of ``targets`` that are not among ``weights`` yet, and those; raises as :func:`funneling_weights`."""
     known = weights or {}
-    found = {t: funneling_weights(placed.inputs, placed.outputs[placed.row(t)]) for t in targets if t not in known}
+    new = [t for t in targets if t not in known]
+    found = {t: funneling_weights(placed.inputs, placed.outputs[placed.row(t)], distance) for t in new}
     return {**known, **found}
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..typing import ComplexArray
 from .drives import Aim, Renderer
-from .funneling import Funneling, Weights, absent_inputs, known_bins, settled_weights
+from .funneling import Distance, Funneling, Weights, absent_inputs, known_bins, settled_weights
 from .inversion import Control, Regularisation, decomposed, least_squares
 from .spectrum import BinnedTransfer
 from .zeros import AutoZeros, FixedZeros, Zeros, chosen_zeros, settled_zeros, within_thesis
@@ -106,20 +106,21 @@ class Combination:
     """Combination renderer, III.B.3 of de Vlam 2022: eq. 4 with U at the target from funneling (eq. 3, 6, 8).
 
     With more control points than actuators the target's displacement is funneling's only up to the misfit, as
-    in :class:`InverseFilter`; the thesis calls the two identical. ``amplitude`` [V] and ``weights`` are
-    funneling's. The other options are the inverse filter's.
+    in :class:`InverseFilter`; the thesis calls the two identical. ``amplitude`` [V], ``distance`` and
+    ``weights`` are funneling's. The other options are the inverse filter's.
     """
 
     zeros: Zeros = field(default_factory=AutoZeros)
     regularisation: Regularisation | None = None
     amplitude: float = 1.0
+    distance: Distance = "spacing"
     least_error: float = LEAST_ERROR
     weights: Weights | None = field(default=None, repr=False, compare=False)
     name: str = "combination"
 
     def aim(self, placed: BinnedTransfer, target: str, wavelet: ComplexArray) -> Aim:
         """Drive spectra towards output ``target``; ``wavelet`` (n_bins,) [1/Hz]."""
-        funneling = Funneling(self.amplitude, self.weights).aim(placed, target, wavelet)
+        funneling = Funneling(self.amplitude, self.distance, self.weights).aim(placed, target, wavelet)
         row = placed.bins.values[:, placed.row(target)]
         displacement = np.asarray((row * funneling.spectrum).sum(axis=1))
         aim = aim_at(placed, target, displacement, self.zeros, self.regularisation or self.least_error)
@@ -131,7 +132,7 @@ class Combination:
 
     def precomputed_for_targets(self, placed: BinnedTransfer, targets: Sequence[str]) -> Combination:
         """The same renderer with zero points and shares found for ``targets``, as far as places tell."""
-        weights = settled_weights(self.weights, placed, targets)
+        weights = settled_weights(self.weights, placed, targets, self.distance)
         return replace(self, zeros=settled_zeros(self.zeros, placed, targets), weights=weights)
 
 

@@ -178,8 +178,14 @@ def renderers(
     peak, least = options.amplitude * MICROMETRE, least_error(scenario)
     known: dict[str, Renderer] = {
         "inverse filter": InverseFilter(zeros=zeros, regularisation=rule, peak=peak, least_error=least),
-        "funneling": Funneling(amplitude=options.amplitude),
-        "combination": Combination(zeros=zeros, regularisation=rule, amplitude=options.amplitude, least_error=least),
+        "funneling": Funneling(amplitude=options.amplitude, distance=options.funneling_distance),
+        "combination": Combination(
+            zeros=zeros,
+            regularisation=rule,
+            amplitude=options.amplitude,
+            distance=options.funneling_distance,
+            least_error=least,
+        ),
     }
     return [known[m] if m in known else user_renderer(m, scenario) for m in options.methods if m not in left_out]
 
@@ -218,12 +224,14 @@ def unsuited(
         try:
             if method != "inverse filter":
                 for target in (by_name[t] for t in targets if t in by_name):
-                    funneling_weights(inputs, target)
+                    funneling_weights(inputs, target, options.funneling_distance)
             if method != "funneling" and options.zeros == "thesis":
                 lattice_of(outputs, "zero points by the corner rule, outputs")
         except GeometryError as problem:
             remedy = "add an actuator, or use the inverse filter"
-            if "corner rule" in str(problem):
+            if "funneling_distance" in str(problem):
+                remedy = "the default is 'spacing'"
+            elif "corner rule" in str(problem):
                 remedy = "set rendering.zeros = 'auto', or name the points"
             elif "outside" in str(problem):
                 remedy = "name rendering.targets between the actuators, or lower grid.pitch or raise device.spacing"

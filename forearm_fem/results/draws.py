@@ -14,16 +14,17 @@ from ..typing import ComplexArray, FloatArray, IntArray
 
 DRAWS_FILE = "draws.nc"
 KEPT = 16  # draws whose G is kept: 5 MB of the thesis' scene
-READINGS = ("calibrated", "played", "calibrated, record", "played, record")
+READINGS = ("played", "reported", "played, record", "reported, record")
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """Result of a draw.
 
-    ``strengths`` (n_reading, n_method, n_target) [-] by :data:`READINGS`: S on the G that was calibrated and S as
-    played on the true G, over the scene's window and over the record. ``drivers`` are what S may hang on, by name: the
-    draw's inputs, and size [Pa] and loss tangent at 150 Hz of each tissue instead of its law's own parameters.
+    ``strengths`` (n_reading, n_method, n_target) [-] by :data:`READINGS`: S as played on the skin,
+    which is what the drives reach on the true G, and S as the rig reports it, on the G that it measured (as Table I);
+    over the scene's window and over the record. ``drivers`` are what S may hang on, by name: the draw's inputs, and
+    size [Pa] and loss tangent at 150 Hz of each tissue instead of its law's own parameters.
     ``numerics`` is e_band of all errors stated for the draw's G, ``spread`` (n_method, n_target) the half width of the
     interval of log S that these leave. ``problem`` says why there is no S (then NaN).
     ``transfer`` (n_frequency, n_out, n_in) is the true G of the first draws (:data:`KEPT`), to be looked at.

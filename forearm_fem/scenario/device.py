@@ -80,9 +80,7 @@ class HeldHousing(Part):
     fixed: Literal[True] = Field(True, description="the housing is held still")
     skin_share: ClassVar[float] = 0.0  # of no motion
     idle_keys: ClassVar = {
-        key: "device.housing.fixed holds it still; leave out either"
-        for key in Housing.model_fields
-        if key != "fixed"
+        key: "device.housing.fixed holds it still; leave out either" for key in Housing.model_fields if key != "fixed"
     }
 
 
@@ -309,8 +307,18 @@ def device_of(**keys: Any) -> Device:
     return remade(TypeAdapter(Device), keys, {}, "device")
 
 
-class GridRows(Part):
-    """Points on the skin whose normal displacement is read, numbered from 1 row by row (rows along +x)."""
+class _Read(Part):
+    """What is read at the points of a grid."""
+
+    direction: Literal["normal", "vertical"] = Field(
+        "normal",
+        description="of the motion that is read: the skin's normal at each point, or z at all of them, as a laser that "
+        "keeps its direction reads a round arm",
+    )
+
+
+class GridRows(_Read):
+    """Points on the skin whose displacement is read, numbered from 1 row by row (rows along +x)."""
 
     rows: Annotated[int, Within(1, 50)] = Field(3, description="number of rows, along x")
     columns: Annotated[int, Within(1, 50)] = Field(3, description="number of columns, along y")
@@ -334,8 +342,8 @@ class GridRows(Part):
         return places_in_rows((self.columns,) * self.rows, self.pitch, self.pitch_y or self.pitch)
 
 
-class GridPlaces(Part):
-    """Points on the skin whose normal displacement is read, each at a place of its own, numbered from 1."""
+class GridPlaces(_Read):
+    """Points on the skin whose displacement is read, each at a place of its own, numbered from 1."""
 
     points: Annotated[tuple[tuple[Place, Place], ...], Field(max_length=2500)] = Field(
         description="own points (x, y) [m] instead of rows and columns"

@@ -57,6 +57,26 @@ class DaqOptions(Part):
     )
 
 
+class RigOptions(Part):
+    """What a real rig adds to G; nothing by default. Calibrations through a virtual device have it, and predictions
+    draw it."""
+
+    noise: Annotated[float, Within(1e-12, 1.0, "m/s/sqrt(Hz)", zero=True)] = Field(
+        default=0.0, description="of the vibrometer, one-sided velocity spectrum [m/s/sqrt(Hz)]"
+    )
+    motion: Annotated[float, Within(1e-9, 0.01, "m", zero=True)] = Field(
+        default=0.0,
+        description="slow motion of the arm: rms way between the ends of one record [m]; where displacement is "
+        "recorded, the jump between these leaks into every bin",
+    )
+    gain: Annotated[float, Field(ge=0, lt=1)] = Field(
+        default=0.0, description="of contact and laser from one sweep to the next, rms of ln |G|, each entry its own"
+    )
+    phase: Annotated[float, Within(1e-6, 3.0, "rad", zero=True)] = Field(
+        default=0.0, description="the same of the phase [rad]"
+    )
+
+
 class MeasurementOptions(Part):
     """Calibration: an exponential sine sweep per actuator and point, repeated without a pause.
 
@@ -96,6 +116,7 @@ class MeasurementOptions(Part):
         default=0.05, description="change between the first and last repeat that is reported [-]"
     )
     sensor: SensorOptions = SensorOptions()
+    rig: RigOptions = RigOptions()
     daq: DaqOptions = DaqOptions()
 
     @model_validator(mode="after")

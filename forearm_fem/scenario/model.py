@@ -128,6 +128,8 @@ class Scenario(Part):
         if isinstance(limb, MeshLimb) and sizes:
             raise idle([f"mesh.{key}" for key in sizes], "limb.shape = 'mesh' keeps the file's elements, and refines "
                        "them only at contacts (mesh.size_contact); leave it out")  # fmt: skip
+        if isinstance(limb, SlabLimb) and self.grid.direction == "vertical":
+            raise idle(["grid.direction"], "a slab's normal is vertical; leave it out")
         tissues, layers = limb_tissues(limb), layer_tissues(limb)
         if unknown := sorted(set(self.mesh.sublayers) - layers):
             raise idle([f"mesh.sublayers.{name}" for name in unknown], "the limb has no such layer; leave it out")

@@ -74,6 +74,12 @@ class RenderingOptions(Part):
         1.0, description="funneling: drive amplitude A in eq. 6 [V]; inverse filter: target peak [1e-6 m]"
     )
 
+    funneling_distance: Literal["spacing", "diagonal"] | Annotated[float, Within(1e-3, 1.0, "m")] = Field(
+        "spacing",
+        description="D of eq. 6, 'the maximum distances between the actuators': their spacing along each axis, so that "
+        "an actuator under the target plays alone; the diagonal of the four around the target; or a length [m]",
+    )
+
     @model_validator(mode="after")
     def _distinct(self) -> Self:
         zeros = self.zeros if isinstance(self.zeros, tuple) else ()
@@ -87,6 +93,13 @@ class RenderingOptions(Part):
             raise ValueError(f"point {both[0]} is both a target and a zero point; take it out of either")
         if self.regularisation == "auto" and self.regularisation_value != 1e-12:
             raise ValueError("regularisation_value needs a regularisation by name, not 'auto'")
+        return self
+
+    @model_validator(mode="after")
+    def _funneling(self) -> Self:
+        known = {"inverse filter", "funneling", "combination"}
+        if self.funneling_distance != "spacing" and set(self.methods) <= known - {"funneling", "combination"}:
+            raise idle(["funneling_distance"], "no method of rendering.methods is funneling; leave it out, or add it")
         return self
 
     @model_validator(mode="after")

@@ -17,10 +17,8 @@ from ..scenario.shipped import shipped_scenarios
 from .data import Results
 from .facts import _device, _grid, accuracy_words, capital, limb_words
 from .judge import Strengths, strengths
+from .track import track_record
 
-PEOPLE = 1.5
-"""Factor to either side by which S differs among nine in ten arms: `forearm-fem validate` finds 1.46 to 1.55."""
-_OTHERS = f"S is of the arm that was measured; others differ by about a factor of {PEOPLE:g} to either side."
 _SURE = 0.005  # relative half width below which an interval is not worth its room
 
 
@@ -147,7 +145,7 @@ def trust_of(results: Results, data: Strengths) -> str:
     """One line: how wrong the numerics may be, and that people differ."""
     half = half_widths(data)
     if is_measured(results) and not np.isfinite(half).any():
-        return f"This G states no errors, so the uncertainty of S is unknown. {_OTHERS}"
+        return f"This G states no errors, so the uncertainty of S is unknown. {others_words()}"
     if np.isfinite(half).any():
         m, t = np.unravel_index(int(np.nanargmax(half)), half.shape)
         worst = float(half[m, t])
@@ -159,18 +157,27 @@ def trust_of(results: Results, data: Strengths) -> str:
         if why := results.account.signal_strength.unknown:
             numerics += f": {why}"
     if is_measured(results):
-        return f"{numerics.replace('numerics leave', 'errors stated for G leave')}. {_OTHERS}"
+        return f"{numerics.replace('numerics leave', 'errors stated for G leave')}. {others_words()}"
     return f"{numerics}; {accuracy_words(results)}. {people_words(data)}"
+
+
+def others_words() -> str:
+    """Spread of people about the one arm that was measured."""
+    record = track_record()
+    return (f"S is of the arm that was measured; others differ by about a factor of {record.width:.2g} to either side. "
+            f"{record.sentence}")  # fmt: skip
 
 
 def people_words(data: Strengths) -> str:
     """Effect of arms on S: of a prediction where the folder holds one, else that it is not included."""
+    record = track_record()
     if data.arms is None:
-        return f"People differ by about a factor of {PEOPLE:g} to either side, not included: `forearm-fem predict`."
+        return (f"People differ by about a factor of {record.width:.2g} to either side, not included: `forearm-fem "
+                f"predict`. {record.sentence}")  # fmt: skip
     best = method_answers(data)[0].method
     group, cell = next(iter(data.arms["by_group"][best].items()))
     return (f"People differ: over {data.arms['draws']} arms S of {best}, {group}, is {cell['arms'][0]:.2g} to "
-            f"{cell['arms'][-1]:.2g} (5-95 %, apart from the numerics).")  # fmt: skip
+            f"{cell['arms'][-1]:.2g} on the skin (5-95 %, apart from the numerics). {record.sentence}")  # fmt: skip
 
 
 def asked_of(results: Results) -> str:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from ..store.folder import write_text
 from .page import Block, Page, Section, as_csv, embedded
 from .style import GREY, INK, SIGNED, Drawn, letter, method_colour, panels, styled
+from .track import track_record
 
 # Figures of a prediction: bands of S over arms, which method wins, and what drives S.
 
@@ -33,7 +34,7 @@ def bands_table(data: Mapping[str, Any]) -> pd.DataFrame:
             line = {"method": m, "target": t, **{f"S_{k}": cell[k] for k in ("value", "low", "high")}}
             line |= {k: cell[k] for k in ("above_one", "wins")}
             line |= dict(zip(("surely_above_one", "possibly_above_one"), cell["above_one_range"], strict=True))
-            for what in ("arms", "bare", "played", "record"):
+            for what in ("arms", "bare", "reported", "record"):
                 line |= {f"S_{what}_{100 * q:g}": s for q, s in zip(data["levels"], cell[what], strict=True)}
             lines.append(line)
     return pd.DataFrame(lines)
@@ -154,7 +155,7 @@ def write_prediction(folder: str | Path, data: Mapping[str, Any]) -> tuple[Path,
         Section("numerics", "How wrong the numerics may be", paragraphs=[_numerics(data)]),
         Section("scope", "What is in the band, and what is not", bullets=_scope(data)),
     ]
-    return Page(title, [lead], sections, stamp).save(out, "prediction")
+    return Page(title, [lead, track_record().sentence], sections, stamp).save(out, "prediction")
 
 
 _FIGURES: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], Drawn]]] = {
@@ -173,8 +174,8 @@ def lead_of(data: Mapping[str, Any]) -> str:
         parts.append(f"{method} {low:.2g} to {high:.2g}")
     lost = sum(data["failed"].values())
     missing = f" {lost} arm{'' if lost == 1 else 's'} more without S left out (see below)." if lost else ""
-    return (f"Nine in ten of {data['draws']} arms have, at {group}: {', '.join(parts)}. Errors of each arm's own G are "
-            f"in these bands; those of the scene's S are stated apart.{missing}")  # fmt: skip
+    return (f"Nine in ten of {data['draws']} arms have, at {group}, on the skin: {', '.join(parts)}. Errors of each "
+            f"arm's own G are in these bands; those of the scene's S are stated apart.{missing}")  # fmt: skip
 
 
 def strength_words(cell: Mapping[str, Any]) -> str:
@@ -187,9 +188,9 @@ def strength_words(cell: Mapping[str, Any]) -> str:
 
 def _targets(data: Mapping[str, Any]) -> Block:
     rows = [[t, *(strength_words(data["by_target"][m][t]) for m in data["methods"])] for t in data["targets"]]
-    note = ("S of the scene itself, the interval of its numerics, and 5-95 % over arms and measurements, on the G that "
-            "was calibrated (as Table I), errors of each arm's own G included. The two spreads are of different things "
-            "and are never added.")  # fmt: skip
+    note = ("S of the scene itself, the interval of its numerics, and 5-95 % over arms and measurements, as played on "
+            "the skin by drives that were designed on the G that the rig measured; errors of each arm's own G "
+            "included. The two spreads are of different things and are never added.")  # fmt: skip
     return Block(["target", *data["methods"]], rows, note)
 
 
@@ -200,24 +201,24 @@ def _groups(data: Mapping[str, Any]) -> Block:
             cell = data["by_group"][method][group]
             low, high = (f"{share:.0%}" for share in cell["above_one_range"])
             above = f"{cell['above_one']:.0%}" + ("" if low == high else f" ({low[:-1]}-{high})")  # e.g. 88% (75-92%)
-            rows.append([group, method, *(f"{x:.2f}" for x in cell["arms"]), f"{cell['played'][0]:.2f}-"
-                         f"{cell['played'][-1]:.2f}", f"{cell['record'][0]:.2f}-{cell['record'][-1]:.2f}",
+            rows.append([group, method, *(f"{x:.2f}" for x in cell["arms"]), f"{cell['reported'][0]:.2f}-"
+                         f"{cell['reported'][-1]:.2f}", f"{cell['record'][0]:.2f}-{cell['record'][-1]:.2f}",
                          f"{cell['bare'][0]:.2f}-{cell['bare'][-1]:.2f}", above])  # fmt: skip
     levels = [f"{100 * x:g} %" for x in data["levels"]]
     header = [
         "place",
         "method",
         *levels,
-        "as played, 5-95 %",
+        "as the rig reports, 5-95 %",
         "over the record, 5-95 %",
         "without errors of the arms' G, 5-95 %",
         "S > 1",
     ]
-    note = ("Quantiles over arms of the group's mean S on the calibrated G: below the median of the low ends, above it "
-            "of the high ends that errors of each arm's own G leave its S, so that they widen a band and never narrow "
-            "it. S > 1, in brackets: of how many arms that is sure, and of how many possible. As played: the same "
-            "drives on the true G, without its noise. Over the record: as the thesis sums it, all of the noise "
-            "included.")  # fmt: skip
+    note = ("Quantiles over arms of the group's mean S as played on the skin: below the median of the low ends, above "
+            "it of the high ends that errors of each arm's own G leave its S, so that they widen a band and never "
+            "narrow it. S > 1, in brackets: of how many arms that is sure, and of how many possible. As the rig "
+            "reports: the same drives on the G that was measured, with its noise, its gains and the places that the "
+            "laser met; compare measurements with this. Over the record: as the thesis sums it.")  # fmt: skip
     return Block(header, rows, note)
 
 

@@ -75,8 +75,7 @@ _PURPOSE = (
 )
 _SCOPE = (
     "Covered: relaxed volar forearms of adults, small motions (linear), normal motion, 10-500 Hz.",
-    "Not covered: tense muscle, motion along the skin, wet or taped skin, a moving arm, drift within a session, "
-    "thresholds of perception.",
+    "Not covered: tense muscle, motion along the skin, wet or taped skin, thresholds of perception.",
     "Applicability: appendix A and Table I are the same device on one participant each; Zhang, Sueda, Sofia and Shah "
     "are other devices on other people, and test the tissue rather than S.",
     "No public G of a forearm with actuators on the skin was found; the next one is the best test there can be.",
@@ -203,8 +202,11 @@ def _table_one(data: Mapping[str, Any]) -> list[Section]:
     lost = sum(data["failed"].values())
     left_out = f" {lost} of {data['draws']} arms gave no S and are left out: {'; '.join(data['failed'])}."
     note = (
-        "One participant, on the G that was measured. Bands are of the arms as they are, so that poor numerics widen "
-        "none. Just: other draws of as many arms, or the numerics, may say otherwise. Numerics of the arms' G: e_band "
+        "One participant, on the G that was measured: judged by S as the rig of each arm reports it, one sweep an "
+        "entry. Deviations are over the four edges, and the four corners. The log score is the logarithm of the arms' "
+        "density at the nine means: bands that are wide for no reason lose by it. Bands are of the arms as they are, "
+        "so that poor numerics widen none. Just: other draws of as many arms, or the numerics, may say otherwise. "
+        "Numerics of the arms' G: e_band "
         f"{data['numerics']['S']:.0e} in the median, {data['numerics']['largest']:.0e} at most. It leaves S a factor "
         f"of {data['numerics']['factor']:.3f} in the median.{left_out if lost else ''}"
     )
@@ -220,8 +222,10 @@ def _table_one(data: Mapping[str, Any]) -> list[Section]:
         few = [name for law, name in _NAMES.items() if law not in found]
         missing = f" Too few arms for a band of its own: {', '.join(few)}." if few else ""
         told = [
-            f"{_NAMES[k]}: {f['inside']} of 9 inside, {f['draws']} arms, half width x/÷ {f['width']:.2f}"
-            + ("" if f["distance"] is None else f", {_share(f['beyond'])} of the arms further out")
+            f"{_NAMES[k]}: {f['inside']} of 9 inside, {sum(d['inside'] for d in f['deviations'])} of "
+            f"{len(f['deviations'])} deviations, {f['draws']} arms, half width x/÷ {f['width']:.2f}"
+            + ("" if f["distance"] is None else f", {_share(f['beyond'])} of the arms further out, joint "
+               f"distance {f['distance']:.1f}, log score {f['score']:.1f}")
             for k, f in found.items()
         ]
         sections.append(Section(f"table-one-{reading}", f"Table I of the thesis, S {words}",

@@ -219,6 +219,8 @@ def ports_on(scenario: Scenario, skin: Skin) -> tuple[Port, ...]:
         Port(str(i + 1), "point", *landed(f"grid point {i + 1}", xy, skin, nearer["grid point"]))
         for i, xy in enumerate(layout.points)
     ]
+    if scenario.grid.direction == "vertical":
+        points = [replace(p, axis=(0.0, 0.0, 1.0)) for p in points]
     return (*contacts, *points)
 
 

@@ -78,6 +78,11 @@ def read_quietly(file: Path) -> Any:
                 f"{file}: only some of its blocks of cells have a '{half[1]}'; give every volume one (in gmsh, a "
                 "physical group)"
             ) from None
+        if head.startswith(b"$MeshFormat") and head.split()[1].startswith((b"1", b"2.0")):
+            raise MeshError(
+                f"{file}: is of gmsh's format {head.split()[1].decode()}, whose names have no dimension; open it in "
+                "gmsh and save it as version 4.1"
+            ) from None
         said = f"{type(problem).__name__}: {problem}"[:100]
         raise MeshError(
             f"{file}: cannot be read as a mesh ({said}); it is cut short, or of a dialect that is not known: export it "

@@ -320,6 +320,8 @@ def _check(file: Path, design: Design) -> None:
             raise ScenarioError(
                 f"{file}: {variable.key}: no candidate changes with it, for no mesh is made for them; vary another key"
             )
+    if any(s.grid.direction == "vertical" for s in scenarios):
+        raise ScenarioError(f"{file}: grid.direction: candidates are judged by normal motion; set it to 'normal'")
     points = {str(k + 1) for k in range(len(scenarios[0].grid.places))}
     targets = design.asked.objective.targets
     if targets != "all" and (unknown := sorted(set(targets) - points)):

@@ -18,6 +18,7 @@ from ...metrics.strength import strength_text
 from ...show.page import Block, Page, Picture, Section, embedded
 from ...show.registry import save_drawn
 from ...show.style import ACTUATORS, FAINT, GREY, INK, panels, styled, widen
+from ...show.track import track_record
 from ...store.folder import write_text
 from ...store.record import save_arrays
 from ...store.text import write_json
@@ -249,7 +250,8 @@ def design_page(result: DesignResult, pictures: Sequence[Picture] = ()) -> Page:
                 paragraphs=[f"{count} candidates; {len(bad)} not feasible{': ' + told if told else ''}. All are in "
                             "candidates.csv."]),
     ]  # fmt: skip
-    return Page(f"Design {result.design.asked.name}", outcome_words(result), sections, _stamp(result))
+    answer = [*outcome_words(result), track_record().sentence]
+    return Page(f"Design {result.design.asked.name}", answer, sections, _stamp(result))
 
 
 def _stamp(result: DesignResult) -> str:

@@ -20,11 +20,13 @@ from ...errors import ForearmError, ScenarioError
 from ...fem.reduction.poles import chebyshev_frequencies
 from ...layered import layered_compliance
 from ...metrics import smooth_noise
+from ...ports import Port
 from ...progress import Progress, within
 from ...scenario import Scenario
 from ...transfer import Compliance, ErrorEstimate
 from ...typing import ComplexArray, FloatArray
 from ...usercode import is_code
+from .draws import FASCIA, has_fascia
 
 # A third of the time of the layered model's own; what it costs is stated per draw
 _TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)
@@ -76,6 +78,10 @@ class ArmModel(Engine, Protocol):
         """The same with what it may be as well."""
         ...
 
+    def answers(self, scenario: Scenario, seen: Scenario, frequency: FloatArray) -> tuple[Answer, Compliance]:
+        """The same, and the compliance of ``seen``, which has points elsewhere or read otherwise."""
+        ...
+
 
 @dataclass(frozen=True)
 class LayeredArm:
@@ -122,7 +128,10 @@ class LayeredArm:
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """See :class:`ArmModel`."""
         scenario = without_bones(scenario)
-        ports = flat_ports(scenario)
+        return self._between(scenario, flat_ports(scenario), frequency)
+
+    def _between(self, scenario: Scenario, ports: tuple[Port, ...], frequency: FloatArray) -> Compliance:
+        """Compliance between ``ports`` on the scenario's layers."""
         discs = [flat_disc(port) for port in ports]
         for orders in self.orders:
             found = layered_compliance(
@@ -142,6 +151,21 @@ class LayeredArm:
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
         """See :class:`ArmModel`: its errors are noise."""
         return Answer(self.compliance(scenario, frequency))
+
+    def answers(self, scenario: Scenario, seen: Scenario, frequency: FloatArray) -> tuple[Answer, Compliance]:
+        """See :class:`ArmModel`: one solve for the points of both, whose contacts are the same."""
+        scenario, seen = without_bones(scenario), without_bones(seen)
+        own, laid = flat_ports(scenario), flat_ports(seen)
+        points = tuple(port for port in laid if port.kind == "point")
+        both = self._between(scenario, (*own, *points), frequency)
+        contacts = [i for i, port in enumerate(own) if port.kind == "contact"]
+        met = [*contacts, *range(len(own), len(both.ports))]
+        every = range(len(frequency))
+        true, seen_there = (
+            replace(both, values=both.values[np.ix_(every, at, at)], ports=tuple(both.ports[i] for i in at))
+            for at in (range(len(own)), met)
+        )
+        return Answer(true), seen_there
 
 
 def without_bones(scenario: Scenario) -> Scenario:
@@ -180,17 +204,22 @@ class ReducedArm:
     @property
     def held(self) -> frozenset[str]:
         """See :class:`ArmModel`: nothing, or all geometry where the layered model cannot say what it changes."""
-        return frozenset(_GEOMETRY if self.scenario.tissues.patch.is_on else ())
+        fascia = () if has_fascia(self.scenario) else (FASCIA,)
+        return frozenset((*fascia, *(_GEOMETRY if self.scenario.tissues.patch.is_on else ())))
 
     @property
     def left_out(self) -> str:
         """See :class:`ArmModel`."""
         still = self.model.around is None
         by_layers = "thickness, contact area and the grid's place" if still else "thickness and contact area"
+        if FASCIA in self.held:
+            by_layers = f"no arm has a deep fascia, for the scene has none (limb.layers); what {by_layers}"
+        else:
+            by_layers = f"what {by_layers}"
         geometry = (
             "thickness, contact area and the grid's place keep the scene's values, for there is tape on its skin"
-            if self.held
-            else f"what {by_layers} change is that of flat layers without end"
+            if "thickness" in self.held
+            else f"{by_layers} change is that of flat layers without end"
         )
         return f"girth, taper, bones and the device's place on the limb are the scene's own in every arm; {geometry}"
 
@@ -207,7 +236,8 @@ class ReducedArm:
         """See :class:`ArmModel`: each error may be missed by its size at each pair of ports, alike at all of them or in
         any phase at each."""
         own = with_scene_geometry(self.scenario, scenario)  # but with its own grid where both meshes can read it
-        laid = own.changed({"grid": scenario.grid})
+        # the layered model turns it
+        laid = own.changed({"grid": scenario.grid.changed({"direction": own.grid.direction})})
         models = [self.model] if self.meshes is None else [self.model, self.meshes.second]
         own = laid if all(m.follows(laid) for m in models) else own
         found, missed = self.model.answer(own, frequency)
@@ -220,6 +250,10 @@ class ReducedArm:
             found, *geometry = self._changed(found, scenario, own)
             off += geometry
         return Answer(found, perturbed_answers(found, off), frozenset(e.source for e in found.errors))
+
+    def answers(self, scenario: Scenario, seen: Scenario, frequency: FloatArray) -> tuple[Answer, Compliance]:
+        """See :class:`ArmModel`."""
+        return self.answer(scenario, frequency), self.compliance(seen, frequency)
 
     def _changed(self, found: Compliance, scenario: Scenario, own: Scenario) -> tuple[Compliance, Any, FloatArray]:
         """The answer with what geometry changes between two draws, what of that change may be wrong, and the layered

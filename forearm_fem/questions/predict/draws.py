@@ -29,7 +29,9 @@ from ...usercode import is_code
 
 Kind = Literal["log-normal", "normal", "uniform", "log-uniform", "logistic", "choice"]
 Known = Literal["seen", "derived", "judgement", "second-hand"]
-SHARED = ("skin tension", "skin thickness", "fat thickness")  # what the joint fit moves beside the tissues of a law
+FASCIA = "fascia"
+# What the joint fit moves beside the tissues of a law
+SHARED = ("skin tension", "skin thickness", "fat thickness", "fascia thickness", "fascia modulus")
 
 
 @dataclass(frozen=True)
@@ -88,34 +90,40 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """Inputs of every arm, tissue inputs per law, and the ``joint`` fit per law."""
+    """Inputs of every arm, tissue inputs per law, and the joint fit per law of arms with a deep fascia (``joint``) and
+    without (``bare``)."""
 
     inputs: Mapping[str, Prior]
     laws: Mapping[str, Mapping[str, Prior]]
     joint: Mapping[str, Joint]
+    bare: Mapping[str, Joint]
 
-    def tissue_inputs(self, name: str) -> Mapping[str, Prior]:
-        """Inputs that the joint fit of the law ``name`` covers: its tissues, then tension and thicknesses."""
+    def tissue_inputs(self, name: str, bare: bool = False) -> Mapping[str, Prior]:
+        """Inputs that the joint fit of the law ``name`` covers: its tissues, then tension, thicknesses and fascia."""
         own = self.laws[name] if name in self.laws else _of_class(name)
-        return {**own, **{name: self.inputs[name] for name in SHARED}}
+        shared = [key for key in SHARED if not (bare and key.startswith(FASCIA))]
+        return {**own, **{key: self.inputs[key] for key in shared}}
 
 
 @cache
 def load_priors() -> Priors:
     """The priors that come with the program (priors.toml), with the joint fit of the laws (tissue_laws.json)."""
     fitted = json.loads(files("forearm_fem").joinpath("tissue_laws.json").read_text(encoding="utf-8"))
-    joint = {
-        law: Joint(tuple(found["names"]), np.array(found["mean"]), np.array(found["covariance"]))
-        for law, found in fitted["laws"].items()
-    }
-    return replace(wide_priors(), joint=MappingProxyType(joint))
+    joint, bare = (
+        MappingProxyType({
+            law: Joint(tuple(found["names"]), np.array(found["mean"]), np.array(found["covariance"]))
+            for law, found in fitted[part].items()
+        })
+        for part in ("laws", "bare")
+    )  # fmt: skip
+    return replace(wide_priors(), joint=joint, bare=bare)
 
 
 def wide_priors() -> Priors:
     """The priors before the joint fit: what that starts from."""
     table = tomllib.loads(files(__package__).joinpath("priors.toml").read_text(encoding="utf-8"))
     laws = {law: _table(inputs) for law, inputs in table["laws"].items()}
-    return Priors(_table(table["inputs"]), MappingProxyType(laws), MappingProxyType({}))
+    return Priors(_table(table["inputs"]), MappingProxyType(laws), MappingProxyType({}), MappingProxyType({}))
 
 
 def _of_class(name: str) -> Mapping[str, Prior]:
@@ -147,6 +155,10 @@ LAWS = ("kelvin-voigt", "zener", "springpot")
 SOFT = ("skin", "fat", "muscle")
 WRIST, ELBOW = "contact spring, wrist side", "contact spring, elbow side"
 _PLACED = {"grid x", "grid y", "grid turn"}
+_RIG = MappingProxyType(
+    {"vibrometer noise": "noise", "arm motion": "motion", "entry gain": "gain", "entry phase": "phase"}
+)
+_FASCIA_LOSS = 2e-4  # s: eta / mu, a loss tangent of .19 at 150 Hz (judgement)
 # input -> the key under [device] that it spreads about the scenario's own
 _SPREAD: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
@@ -173,8 +185,11 @@ class Draw:
         return np.random.default_rng([self.seed, self.number, zlib.crc32(purpose.encode())])
 
 
-def draw_inputs(priors: Priors, scenario: Scenario, seed: int, number: int, laws: Collection[str] = LAWS) -> Draw:
-    """Draw ``number`` of ``seed``: the same however many are asked for, by whom, and in which order.
+def draw_inputs(
+    priors: Priors, scenario: Scenario, seed: int, number: int, laws: Collection[str] = LAWS, *, bare: bool = False
+) -> Draw:
+    """Draw ``number`` of ``seed``: the same however many are asked for, by whom, and in which order; ``bare`` arms have
+    tissues as measurements leave them where there is no deep fascia.
 
     Each input has random numbers of its own, so that draws of different laws or devices share what they have in common.
     """
@@ -188,8 +203,8 @@ def draw_inputs(priors: Priors, scenario: Scenario, seed: int, number: int, laws
     if not chosen:
         raise ScenarioError(f"laws: expected some of {', '.join(LAWS)}, got {', '.join(sorted(laws)) or 'none'}")
     own = chosen[int(Prior("law", "choice", "", "judgement", choices=tuple(chosen)).value(normal("law")))]
-    inputs = priors.tissue_inputs(own)
-    joint = priors.joint.get(own)
+    inputs = priors.tissue_inputs(own, bare)
+    joint = (priors.bare if bare else priors.joint).get(own)
     names = tuple(inputs) if joint is None else joint.names
     z = np.array([normal(name) for name in names])
     z = z if joint is None else joint.mean + joint.root @ z
@@ -197,7 +212,7 @@ def draw_inputs(priors: Priors, scenario: Scenario, seed: int, number: int, laws
     for name, prior in priors.inputs.items():
         if prior.each is not None:
             values |= _each(prior, scenario, normal)
-        elif name not in values and prior.kind != "choice":
+        elif name not in values and name != "law":
             values[name] = prior.value(normal(name))
     return Draw(seed, number, own, values)
 
@@ -226,8 +241,8 @@ def scenario_of(draw: Draw, scenario: Scenario, held: Collection[str] = ()) -> S
     """``scenario`` on the arm and with the device of ``draw``; inputs of the names or groups ``held`` stay its own.
 
     Tissues called skin, fat and muscle get the drawn law, if it has inputs for them; others, and limbs without layers,
-    keep theirs. Noise, and the places that the experimenter takes for true, are not in a scenario
-    (:mod:`forearm_fem.questions.predict.outcome`).
+    keep theirs. A deep fascia comes between the last layer and a core of muscle that has none. What the rig makes of
+    the arm is :func:`measured_of`; the places that the experimenter takes for true are the scenario's.
     """
     data: dict[str, Any] = scenario.model_dump()
     values = {name: value for name, value in draw.values.items() if name not in held}
@@ -240,14 +255,64 @@ def scenario_of(draw: Draw, scenario: Scenario, held: Collection[str] = ()) -> S
     if "skin tension" in values:
         data["tissues"]["membrane"]["tension"] = values["skin tension"]
     layers = data["limb"].get("layers", ())
-    whole = {tissue: sum(part["thickness"] for part in layers if part["tissue"] == tissue) for tissue in SOFT}
+    if _has_place_for_fascia(scenario) and "fascia thickness" in values:
+        data["limb"]["layers"] = layers = [*layers, {"tissue": FASCIA, "thickness": values["fascia thickness"]}]
+    if any(layer["tissue"] == FASCIA for layer in layers) and "fascia modulus" in values:
+        data["tissues"]["override"][FASCIA] = fascia_parameters(values["fascia modulus"])
+    drawn_here = (*SOFT, FASCIA)
+    whole = {tissue: sum(part["thickness"] for part in layers if part["tissue"] == tissue) for tissue in drawn_here}
     for layer in layers:  # layers of one tissue share what is drawn for it, as they share their own
         if (drawn := values.get(f"{layer['tissue']} thickness")) is not None:
             layer["thickness"] *= drawn / whole[layer["tissue"]]
     _set_device(data["device"], values)
     if _PLACED & values.keys():
-        data["grid"] = {"points": moved_points(scenario, values)}
+        data["grid"] = {"points": moved_points(scenario, values), "direction": scenario.grid.direction}
     return parse_scenario(data)
+
+
+def _has_place_for_fascia(scenario: Scenario) -> bool:
+    """Whether the limb's core is muscle and no layer is a fascia yet."""
+    return getattr(scenario.limb, "core", "") == "muscle" and not has_fascia(scenario)
+
+
+def has_fascia(scenario: Scenario) -> bool:
+    """Whether a layer of the limb is a fascia."""
+    return any(layer.tissue == FASCIA for layer in getattr(scenario.limb, "layers", ()))
+
+
+def is_bare(scenario: Scenario, held: Collection[str]) -> bool:
+    """Whether arms of the ``scenario`` have no deep fascia: it has none, and none is drawn."""
+    return not has_fascia(scenario) and ("fascia thickness" in held or not _has_place_for_fascia(scenario))
+
+
+def fascia_parameters(mu: float) -> dict[str, float | str]:
+    """Keys of ``[tissues.override.fascia]`` for a shear modulus ``mu`` [Pa]."""
+    return {"law": "kelvin-voigt", "density": 1120.0, "bulk": 2.2e9, "mu": mu, "eta": _FASCIA_LOSS * mu}
+
+
+def measured_of(draw: Draw, arm: Scenario, held: Collection[str] = ()) -> Scenario:
+    """The scenario of ``draw``'s ``arm`` as its rig measures it: the grid's points where the laser meets them, the
+    laser's direction, and what ``[measurement.rig]`` adds to each entry.
+
+    Points are measured in turn while the device slips evenly along ``device slip`` and ``device slip, turn``, half of
+    it before the middle of the session; each is aimed at with ``laser aim`` to either side.
+    """
+    values = {name: value for name, value in draw.values.items() if name not in held}
+    rig = {key: values[name] for name, key in _RIG.items() if name in values}
+    changes: dict[str, Any] = {f"measurement.rig.{key}": value for key, value in rig.items()}
+    places, rng = np.array(arm.grid.places), draw.generator("places measured")
+    slip, aim = rng.standard_normal(3), rng.standard_normal(places.shape)
+    done = np.linspace(-0.5, 0.5, len(places))
+    turn = values.get("device slip, turn", 0.0) * slip[2] * done
+    c, s = np.cos(turn), np.sin(turn)
+    met = np.column_stack([c * places[:, 0] - s * places[:, 1], s * places[:, 0] + c * places[:, 1]])
+    met = met + values.get("device slip", 0.0) * slip[:2] * done[:, None] + values.get("laser aim", 0.0) * aim
+    direction = arm.grid.direction
+    if values.get("laser direction", 0.0) == 1 and arm.limb.shape != "slab":
+        direction = "vertical"
+    if direction != arm.grid.direction or not np.array_equal(met, places):
+        changes["grid"] = {"points": [(float(x), float(y)) for x, y in met], "direction": direction}
+    return arm.changed(changes) if changes else arm
 
 
 def _set_device(device: dict[str, Any], values: Mapping[str, float]) -> None:
@@ -277,6 +342,8 @@ def idle_inputs(scenario: Scenario) -> frozenset[str]:
     parts = device.model_dump()
     keys = {**_SPREAD, "housing share": ("housing", "skin_share")}
     idle = {name for name, (part, key) in keys.items() if key not in parts.get(part, ())}
+    if scenario.limb.shape == "slab":
+        idle.add("laser direction")
     for name in (f"A{k}" for k in range(1, len(device.centres) + 1)):
         apart = name in device.out_of_contact
         if apart or device.drive == "force":
@@ -313,4 +380,4 @@ def kept_tissues(scenario: Scenario) -> tuple[str, ...]:
     """Tissues of the limb's layers and core that no draw changes, for the priors do not name them."""
     limb = scenario.limb
     named = [*(layer.tissue for layer in getattr(limb, "layers", ())), getattr(limb, "core", "")]
-    return tuple(dict.fromkeys(t for t in named if t and t not in SOFT))
+    return tuple(dict.fromkeys(t for t in named if t and t not in (*SOFT, FASCIA)))

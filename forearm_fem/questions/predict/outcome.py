@@ -11,6 +11,7 @@ import numpy as np
 
 from ...device import close_loop
 from ...errors import ReductionError
+from ...measurement.chain import reported
 from ...ports import Port
 from ...rendering.interval import interval
 from ...rendering.job import RenderJob
@@ -21,9 +22,8 @@ from ...tissue import REFERENCE, resolve_tissues
 from ...transfer import TransferMatrix, finite, total_error
 from ...typing import FloatArray
 from .arm import ArmModel
-from .draws import SOFT, Draw, idle_inputs, scenario_of, soft_tissues
+from .draws import SOFT, Draw, idle_inputs, measured_of, scenario_of, soft_tissues
 
-NOISE = "signal to noise"  # name of the draw's input
 _MOST = 1.0  # e_band: nothing is known of a G that may be wrong by as much as it is
 _DRAWS = 6  # of an arm's errors, for the interval of its S; all targets of a method are pooled
 
@@ -62,14 +62,16 @@ def outcome_of(draw: Draw, setup: Setup, arm: ArmModel) -> Outcome:
     held = setup.held | arm.held
     scenario = scenario_of(draw, setup.scenario, held)
     values = {name: value for name, value in draw.values.items() if name not in held}
-    answer = arm.answer(scenario, frequencies(scenario.sweep))
+    seen, at = measured_of(replace(draw, values=values), scenario), frequencies(scenario.sweep)
+    answer, met = arm.answers(scenario, seen, at) if seen.grid != scenario.grid else (arm.answer(scenario, at), None)
     true, *others = (
         with_nominal_ports(finite(close_loop(c, scenario.device)), setup) for c in (answer.compliance, *answer.others)
     )
     if not total_error(true.errors) < _MOST:
         raise ReductionError(f"G of the arm may be wrong by as much as it is: e_band is {_MOST:g} or more, or unknown")
-    calibrated = noisy(true, replace(draw, values=values), scenario)
-    found, job = strengths_of(setup.job, true, calibrated), setup.job
+    under = true if met is None else with_nominal_ports(finite(close_loop(met, seen.device)), setup)
+    found = strengths_of(setup.job, true, reported(under, seen, draw.generator("rig")))
+    job = setup.job
     noise = tuple(e for e in true.errors if e.source not in answer.shown)
     spread = interval(true, noise, job.targets, job.span, job.methods, job.wavelet, draws=_DRAWS, others=others)
     return Outcome(
@@ -84,24 +86,9 @@ def with_nominal_ports(transfer: TransferMatrix, setup: Setup) -> TransferMatrix
     return replace(transfer, outputs=setup.outputs, inputs=setup.inputs)
 
 
-def noisy(transfer: TransferMatrix, draw: Draw, scenario: Scenario) -> TransferMatrix:
-    """G as calibrated: white complex noise on every entry, alike over band and matrix.
-
-    Its rms is that of G over band and matrix, less the draw's signal to noise [dB] of one period, less 10 log10 of the
-    scenario's ``measurement.repeats``. A draw without noise (held) gives G itself. Not covered: noise that grows with
-    the distance of the laser, hum, drift.
-    """
-    if NOISE not in draw.values:
-        return transfer
-    size = float(np.sqrt(np.mean(np.abs(transfer.values) ** 2)))
-    rms = size * 10 ** (-draw.values[NOISE] / 20) / np.sqrt(scenario.measurement.repeats)
-    normals = draw.generator("noise").standard_normal((2, *transfer.values.shape)) / np.sqrt(2)
-    return replace(transfer, values=transfer.values + rms * (normals[0] + 1j * normals[1]))
-
-
-def strengths_of(job: RenderJob, true: TransferMatrix, calibrated: TransferMatrix) -> FloatArray:
-    """S (n_reading, n_method, n_target) of drives designed on ``calibrated``, there and on the ``true`` G."""
-    found = job.strengths(calibrated, calibrated, true, windows=(job.window, "record"))
+def strengths_of(job: RenderJob, true: TransferMatrix, measured: TransferMatrix) -> FloatArray:
+    """S (n_reading, n_method, n_target) of drives designed on the ``measured`` G, on the ``true`` one and there."""
+    found = job.strengths(measured, true, measured, windows=(job.window, "record"))
     return found.reshape(len(READINGS), *found.shape[2:])
 
 

@@ -39,7 +39,7 @@ from ...transfer import UNITS, ErrorEstimate
 from ...typing import FloatArray
 from ...usercode import is_code, with_code_beside
 from .arm import ArmModel, LayeredArm, arm_model
-from .draws import LAWS, draw_inputs, each_name, load_priors, scenario_of
+from .draws import FASCIA, LAWS, draw_inputs, each_name, has_fascia, is_bare, load_priors, scenario_of
 from .outcome import Setup, outcome_of, setup_of
 from .statistics import Draws, draws_of
 
@@ -76,7 +76,7 @@ class Question:
         priors = load_priors()
         content = [__version__, self.scenario.model_dump(mode="json", exclude={"name", "description"}), self.seed,
                    sorted(self.laws), sorted(self.held), self.layered, repr(priors.inputs), repr(priors.laws),
-                   {law: joint.mean.tolist() for law, joint in priors.joint.items()},
+                   [{law: j.mean.tolist() for law, j in part.items()} for part in (priors.joint, priors.bare)],
                    contents((*named_files(self.scenario), *code_files(self.laws)), self.base)]  # fmt: skip
         return digest_of(content)
 
@@ -288,7 +288,8 @@ def _unknown(arm: ArmModel, errors: tuple[ErrorEstimate, ...]) -> str:
 
 def drawn(question: Question, setup: Setup, arm: ArmModel, number: int) -> Outcome:
     """Draw ``number``; an arm that cannot be is data, not an error."""
-    draw = draw_inputs(load_priors(), question.scenario, question.seed, number, question.laws)
+    bare = is_bare(question.scenario, setup.held)
+    draw = draw_inputs(load_priors(), question.scenario, question.seed, number, question.laws, bare=bare)
     try:
         with freed_memory_kept():
             return outcome_of(draw, setup, arm)
@@ -339,7 +340,9 @@ def _prepared(
 
 def pool(question: Question) -> list[Scenario]:
     """The arms that a model of finite elements is made from: the first 200 draws, and the scene itself."""
-    held, priors = expanded(question.held, question.scenario), load_priors()
+    fascia = () if has_fascia(question.scenario) else (FASCIA,)  # no mesh has one that the scene has not
+    held, priors = expanded((*question.held, *fascia), question.scenario), load_priors()
     numbers = range(POOL)
-    drawn = (draw_inputs(priors, question.scenario, question.seed, n, question.laws) for n in numbers)
+    bare = is_bare(question.scenario, held)
+    drawn = (draw_inputs(priors, question.scenario, question.seed, n, question.laws, bare=bare) for n in numbers)
     return [question.scenario, *(scenario_of(d, question.scenario, held) for d in drawn)]

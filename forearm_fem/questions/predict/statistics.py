@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
-from scipy.stats import rankdata
+from scipy.stats import multivariate_normal, rankdata
 
 from ...errors import DataError, MissingExtra
 from ...metrics.strength import GROUPS
@@ -207,6 +207,24 @@ def sobol_indices(drivers: FloatArray, names: Sequence[str], values: FloatArray)
                 found = rbd_fast.analyze(problem, x, y, num_resamples=2, seed=0)
             out[(moving, *at)] = np.clip(np.asarray(found["S1"], dtype=float), 0, 1)
     return out
+
+
+def group_deviations(values: FloatArray, groups: Mapping[str, list[int]]) -> FloatArray:
+    """Standard deviation (n, n_method, n_group) of S over the targets of each group, with n - 1; NaN of one."""
+    one = np.full(values.shape[:-1], np.nan)
+    found = [values[..., c].std(axis=-1, ddof=1) if len(c) > 1 else one for c in groups.values()]
+    return np.stack(found, axis=-1)
+
+
+def log_score(values: FloatArray, point: FloatArray) -> float:
+    """Logarithm of the density at ``point`` (m,) of the normal law that logarithms of draws ``values`` (n, m) have.
+
+    A proper score in nats: bands that miss lose, and so do bands that are wide. NaN where a joint distance is."""
+    if len(values) < _DRAWS_AN_ENTRY * values.shape[1]:
+        return float("nan")
+    logs = np.log(values)
+    law = multivariate_normal(logs.mean(axis=0), np.cov(logs.T), allow_singular=True)
+    return float(law.logpdf(np.log(point)))
 
 
 def joint_distance(values: FloatArray, point: FloatArray) -> tuple[float, float]:

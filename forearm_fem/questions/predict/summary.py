@@ -17,7 +17,7 @@ from .run import Prediction
 from .statistics import LEVELS, Draws, IntervalSamples, quantiles, rank_correlations, sobol_indices, winners
 
 FOLDER, FILE = "prediction", "prediction.json"
-READING = "calibrated"  # as Table I: S on the G that was calibrated
+READING = "played"  # what a builder asks for; "reported" is what Table I is compared with
 
 
 def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
@@ -27,9 +27,9 @@ def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
     their S, as a factor to either side.
     """
     draws, nominal, asked = prediction.draws, prediction.nominal, prediction.question
-    calibrated, played, record = (draws.enclosed(name) for name in ("calibrated", "played", "calibrated, record"))
+    played, reported, record = (draws.enclosed(name) for name in ("played", "reported", "played, record"))
     groups = draws.groups
-    grouped = calibrated.of_groups(groups)
+    grouped = played.of_groups(groups)
     return {
         "program": __version__, "scenario": asked.scenario.model_dump(mode="json"), "question": asked.digest,
         "seed": asked.seed, "laws": list(asked.laws), "held": list(prediction.held), "model": prediction.model,
@@ -50,11 +50,11 @@ def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
         "groups": {g: [draws.targets[i] for i in c] for g, c in groups.items()},
         "by_target": _table(draws.methods, draws.targets, {
             "value": _aligned(nominal.value, prediction), "low": _aligned(nominal.low, prediction),
-            "high": _aligned(nominal.high, prediction), **_spread(calibrated), "played": played.quantiles(),
-            "record": record.quantiles(), "wins": winners(calibrated.value),
+            "high": _aligned(nominal.high, prediction), **_spread(played), "reported": reported.quantiles(),
+            "record": record.quantiles(), "wins": winners(played.value),
         }),
         "by_group": _table(draws.methods, tuple(groups), {
-            **_spread(grouped), "played": played.of_groups(groups).quantiles(),
+            **_spread(grouped), "reported": reported.of_groups(groups).quantiles(),
             "record": record.of_groups(groups).quantiles(), "wins": winners(grouped.value),
         }),
         "drivers": _drivers(draws, grouped.value, sobol),

@@ -192,7 +192,7 @@ def _common(
         "bins": packed(placed.bins.index, "i4"),
         "inputs": [_port(p) for p in transfer.inputs],
         "outputs": [_port(p) for p in transfer.outputs],
-        "funneling": [_weights(transfer.inputs, p) for p in transfer.outputs],
+        "funneling": [_weights(transfer.inputs, p, scenario) for p in transfer.outputs],
         "error": packed(placed.error, "f8"),
         "least_error": least_error(scenario),
         "errors": [_estimate(e, placed.bins.frequency) for e in errors],
@@ -317,10 +317,10 @@ def _without_none(table: Any) -> Any:
     return [_without_none(v) for v in table] if isinstance(table, list) else table
 
 
-def _weights(inputs: tuple[Port, ...], target: Port) -> list[float] | None:
+def _weights(inputs: tuple[Port, ...], target: Port, scenario: Scenario) -> list[float] | None:
     """Funneling's weights, None where it does not reach."""
     try:
-        return [float(w) for w in funneling_weights(inputs, target)]
+        return [float(w) for w in funneling_weights(inputs, target, scenario.rendering.funneling_distance)]
     except GeometryError:
         return None
 
