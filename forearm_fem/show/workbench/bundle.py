@@ -70,7 +70,7 @@ def _content(
     base: Path,
 ) -> dict[str, Any]:  # fmt: skip
     if isinstance(what, Results):
-        return content_of(what)
+        return content_of(what, progress)
     place, name = Path(what), Path(what).stem
     if _holds_g_alone(place):
         place, name = place / "transfer.nc", place.resolve().name
@@ -80,7 +80,7 @@ def _content(
                 f"{place}: a run holds its own scenario and unit, so that --scenario and --declare have no effect; "
                 "leave them out, or name its transfer.nc"
             )
-        return content_of(Results.open(place))
+        return content_of(Results.open(place), progress)
     if not place.is_file():
         raise DataError(f"{place}: no such results folder or file; `forearm-fem run SCENARIO` makes a folder")
     if place.name.endswith(LIBRARY) or is_library(place):

@@ -59,8 +59,11 @@ _OF_LIBRARY = (
 )
 
 
-def content_of(results: Results) -> dict[str, Any]:
-    """Everything the page needs of a finished run; DataError where G cannot be placed on the bins of its record."""
+def content_of(results: Results, progress: Progress | None = None) -> dict[str, Any]:
+    """Content of the page of a finished run; ``progress`` counts the tables for moved actuators.
+
+    Raises DataError where G cannot be placed on the bins of its record.
+    """
     scenario, transfer = results.scenario, results.transfer
     record = Record.of(scenario.sweep.sample_rate, scenario.sweep.duration)
     if not results.has("compliance"):
@@ -69,7 +72,7 @@ def content_of(results: Results) -> dict[str, Any]:
     holes = bridged(transfer)
     placed = on_record_bins(holes.transfer, record)
     frequency = compliance.frequency
-    moved = anywhere_of(scenario, transfer) if scenario.engine == "layered" else None
+    moved = anywhere_of(scenario, transfer, progress) if scenario.engine == "layered" else None
     field = flat_field(compliance.ports) if moved else _field(results, placed.bins.frequency)
     account = results.account
     return {
