@@ -263,7 +263,7 @@ CASES: tuple[Case, ...] = (
     Case(
         "mesh file of the wrong type",
         MESH,
-        ("limb.png", "cannot be read as a mesh"),
+        ("limb.png", "no kind of mesh that is known"),
         ("limb.file='limb.png'",),
         lambda folder: _put(folder / "limb.png", b"\x89PNG\r\n"),
     ),

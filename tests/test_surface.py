@@ -127,7 +127,7 @@ def test_arms_are_drawn_of_a_law_of_one_s_own(home: Path, tmp_path: Path, monkey
     assert {law.rpartition(":")[2] for law in found.draws.laws} == {"Stiffening"}
     assert np.isfinite(found.draws.strengths).all()
     shows_itself(found)
-    assert np.array_equal(found.sel("funneling", "5"), found.draws.reading("calibrated")[:, 1, 0])
+    assert np.array_equal(found.sel("funneling", "5"), found.draws.reading("played")[:, 1, 0])
     assert {"skin stiffness", "skin loss"} <= set(found.draws.names)
     draw = draw_inputs(load_priors(), scenario, 0, 1, [f"{tmp_path / 'stiffening.py'}:Stiffening"])
     drawn = resolve_tissues(scenario_of(draw, scenario))

@@ -129,7 +129,7 @@ class DrawTable(Part):
 
     count: Annotated[int, Field(ge=1, le=100_000)]
     seed: int = 0
-    parameters: tuple[str, ...] | None = Field(None, description="tissue.key; default: mu and eta of all soft tissues")
+    parameters: tuple[str, ...] | None = Field(None, description="tissue.key; default: mu and eta of the limb's soft tissues")
 
 
 class CampaignFile(Part):
@@ -224,8 +224,10 @@ def draws(scenario: Scenario, table: DrawTable) -> Iterator[Values]:
     Raises :class:`ScenarioError` for what no spread is known of, such as the laws of bounded damping, whose parameters
     go together.
     """
-    known = _drawable(scenario)
-    wanted = table.parameters or tuple(k for k in known if k.endswith((".mu", ".eta")))
+    known, met = _drawable(scenario), set(tissue_keys(scenario.limb).values())
+    wanted = table.parameters or tuple(
+        k for k in known if k.partition(".")[0] in met and k.endswith((".mu", ".eta"))
+    )
     if bad := [k for k in wanted if k not in known]:
         raise ScenarioError(
             f"draw.parameters: no spread is known of '{bad[0]}'; known are {', '.join(known) or 'none'}"

@@ -102,7 +102,7 @@ class Prediction(Manners):
     @property
     def line(self) -> str:
         """S of each method over arms, in the mean of the targets: median, and 5 to 95 %."""
-        means = self.draws.reading("calibrated").mean(axis=2)
+        means = self.draws.reading("played").mean(axis=2)
         found = (np.quantile(column, (0.05, 0.5, 0.95)) for column in means.T)
         said = (f"{m} {b:.3g} ({a:.3g} to {c:.3g})" for m, (a, b, c) in zip(self.draws.methods, found, strict=True))
         return f"S over {len(means)} arms: {', '.join(said)}"
@@ -110,7 +110,7 @@ class Prediction(Manners):
     @property
     def rows(self) -> list[list[str]]:
         """5, 50 and 95 % of S over arms at each target."""
-        bands = np.quantile(self.draws.reading("calibrated"), (0.05, 0.5, 0.95), axis=0)
+        bands = np.quantile(self.draws.reading("played"), (0.05, 0.5, 0.95), axis=0)
         cells = np.moveaxis(bands, 0, -1)
         return [["target", *self.draws.methods],
                 *([t, *(f"{b:.3g} ({a:.3g} to {c:.3g})" for a, b, c in cells[:, k])]
@@ -119,7 +119,7 @@ class Prediction(Manners):
     def sel(self, method: str, target: str) -> FloatArray:
         """S (n_draw,) of the arms by one method at one target."""
         m, t = place(self.draws.methods, method, "method"), place(self.draws.targets, target, "target")
-        return np.asarray(self.draws.reading("calibrated")[:, m, t])
+        return np.asarray(self.draws.reading("played")[:, m, t])
 
     def to_xarray(self) -> xr.Dataset:
         """S of every arm by reading, renderer and target, and the inputs that it hangs on."""
