@@ -343,7 +343,7 @@ def _bessels(top: int, x: Numbers) -> list[Numbers]:
     if np.iscomplexobj(x):
         return [np.asarray(special.jv(q, x)) for q in range(top + 1)]
     real = np.asarray(x, dtype=float)
-    start = [np.asarray(special.j0(real)), np.asarray(special.j1(real))]
+    start = [np.asarray(f(real)) for f in (special.j0, special.j1)[: top + 1]]
     return _upwards(start, top, real, lambda q: 2.0 * q)
 
 

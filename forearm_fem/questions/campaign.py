@@ -129,7 +129,9 @@ class DrawTable(Part):
 
     count: Annotated[int, Field(ge=1, le=100_000)]
     seed: int = 0
-    parameters: tuple[str, ...] | None = Field(None, description="tissue.key; default: mu and eta of the limb's soft tissues")
+    parameters: tuple[str, ...] | None = Field(
+        None, description="tissue.key; default: mu and eta of the limb's soft tissues"
+    )
 
 
 class CampaignFile(Part):
@@ -225,9 +227,7 @@ def draws(scenario: Scenario, table: DrawTable) -> Iterator[Values]:
     go together.
     """
     known, met = _drawable(scenario), set(tissue_keys(scenario.limb).values())
-    wanted = table.parameters or tuple(
-        k for k in known if k.partition(".")[0] in met and k.endswith((".mu", ".eta"))
-    )
+    wanted = table.parameters or tuple(k for k in known if k.partition(".")[0] in met and k.endswith((".mu", ".eta")))
     if bad := [k for k in wanted if k not in known]:
         raise ScenarioError(
             f"draw.parameters: no spread is known of '{bad[0]}'; known are {', '.join(known) or 'none'}"
