@@ -117,12 +117,12 @@ def test_a_tissue_law_of_one_s_own_gives_the_g_of_the_same_law(home: Path, simul
 def test_arms_are_drawn_of_a_law_of_one_s_own(home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """As its class says how people differ, by its name beside the scenario; a class that does not say is refused."""
     monkeypatch.setattr("forearm_fem.questions.predict.statistics.LEAST", 2)  # of 20 draws that a band needs
-    (tmp_path / "here.toml").write_text(SHORT)
+    (tmp_path / "here.toml").write_text(f'{SHORT}\n[device.cone]\ncontact = "pressure"\n')
     code = on_page("A tissue law")
     (tmp_path / "stiffening.py").write_text(code)
     (tmp_path / "silent.py").write_text(code.replace("    drawn =", "    said ="))
     scenario = load_scenario(tmp_path / "here.toml")
-    question = Question(scenario, tmp_path, laws=("stiffening:Stiffening",))
+    question = Question(scenario, tmp_path, laws=("stiffening:Stiffening",), held=("measurement",))
     found = predict(question, tmp_path / "out", draws=2, workers=1)
     assert {law.rpartition(":")[2] for law in found.draws.laws} == {"Stiffening"}
     assert np.isfinite(found.draws.strengths).all()
