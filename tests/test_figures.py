@@ -66,7 +66,7 @@ def run(folder: Path) -> Results:  # noqa: F811
 def made(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:  # noqa: F811
     """Every figure once, except for all but one of the targets."""
     out = tmp_path_factory.mktemp("figures")
-    names = [n for n in kinds(Results.open(folder)) if not n.startswith("target") and n != "measured"]
+    names = [n for n in kinds(Results.open(folder)) if not n.startswith(("target", "figure-6", "figure-7"))]
     make_figures(folder, out, only=[*names, "figure-6"])
     return out
 
@@ -336,7 +336,7 @@ def test_widths_that_cannot_be_are_refused_and_nothing_is_drawn(run: Results, tm
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("wide", [88, 181])
+@pytest.mark.parametrize("wide", [88, pytest.param(181, marks=pytest.mark.slow)])
 def test_a_journals_width_is_that_of_the_picture_and_nothing_is_cut(run: Results, tmp_path: Path, wide: int) -> None:
     """Figures 4 and 6, Table I and the transfer matrix once came out as wide as they liked."""
     for name in ("figure-6", "table-1"):

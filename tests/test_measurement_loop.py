@@ -251,7 +251,7 @@ def test_an_offset_of_the_sensor_changes_no_entry_and_hides_no_lost_sample(offse
     assert np.allclose(found.value, entry(clean, (10.0, 500.0), plan.options).value, rtol=1e-9)
 
 
-@pytest.mark.parametrize("bits", [4, 6, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("bits", [6, *(pytest.param(bits, marks=pytest.mark.slow) for bits in (4, 8))])
 def test_coarse_converters_lose_no_samples_and_copy_no_entries(tmp_path, bits):
     """Single steps up and down are alike at some lag; entries that symmetry makes equal are rounded alike."""
     truth = wave_matrix()

@@ -627,6 +627,7 @@ def two_draws(cache) -> list[tuple[Scenario, dict[tuple[float, float], np.ndarra
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("aside", ASIDE[1:])
 def test_a_grid_is_read_where_it_lies(model, two_draws, aside):
     """Against direct solves with the points there on the same mesh: half a per cent is what polynomials leave between
@@ -662,6 +663,7 @@ def test_places_around_a_point_give_polynomials_between():
     assert not around.hold(parse_scenario(THICK | {"grid": {"points": [[0.0, 0.003]]}}))
 
 
+@pytest.mark.slow
 def test_what_is_missed_is_known_for_each_pair(model, two_draws):
     """The largest pair of a point and a contact is e(f); a pair that the reduction changes less has less to miss."""
     draw, truths = two_draws[1]

@@ -156,12 +156,15 @@ def test_few_arms_say_nothing_of_a_joint_distance_and_no_band_of_a_law() -> None
     assert enough["zener"]["distance"] is None
 
 
+STILL = ("laser aim", "laser direction", "device slip", "device slip, turn")  # points of their own cost most
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
     patch = pytest.MonkeyPatch()
     patch.setattr(module, "_SUBJECT_DRAWS", 2)
     folder = tmp_path_factory.mktemp("validation")
-    found = validate(Question(parse_scenario(SMALL), Path()), folder, draws=21, workers=1)
+    found = validate(Question(parse_scenario(SMALL), Path(), held=STILL), folder, draws=21, workers=1)
     patch.undo()
     return found, folder
 
@@ -219,7 +222,7 @@ def test_observables_resume_and_other_questions_start_anew(
     found, folder = whole
     monkeypatch.setattr(module, "observables", lambda arm: pytest.fail("a finished draw was measured again"))
     once = parse_scenario({**SMALL, "measurement": {"repeats": 1}})  # as the thesis measured
-    rows = module._observed(Question(once, Path()), folder, 21, True, None)
+    rows = module._observed(Question(once, Path(), held=STILL), folder, 21, True, None)
     assert len(rows) == 21
     with pytest.raises(pytest.fail.Exception, match="measured again"):
         module._observed(Question(parse_scenario(SMALL), Path(), seed=7), folder, 1, True, None)
