@@ -503,8 +503,8 @@ def test_scenes_without_s_are_refused(tmp_path: Path) -> None:
 
 def test_the_command_writes_report_pictures_and_numbers(tmp_path: Path) -> None:
     (tmp_path / "small.toml").write_text(TOML)
-    asked = ("predict", "small.toml", "--draws", N, "--workers", 1, "--out", "out", "--law", "zener", "--no-sobol", "--hold", "measurement")
-    answer = cli(*asked, cwd=tmp_path)
+    asked = ("predict", "small.toml", "--draws", N, "--workers", 1, "--out", "out", "--law", "zener", "--no-sobol")
+    answer = cli(*asked, "--hold", "measurement", cwd=tmp_path)
     assert answer.code == 0, answer.err
     folder = tmp_path / "out" / "prediction"
     names = {"draws.nc", "prediction.json", "prediction.md", "prediction.html"}
