@@ -292,6 +292,17 @@ def test_a_wavelet_of_another_programs_wav_is_read_whole_or_not_at_all(tmp_path)
         from_samples_file(tmp_path / "w.wav")
 
 
+def test_a_type_that_no_element_of_matlab_has_is_one_sentence(tmp_path):
+    """scipy ended the program there."""
+    file = mat5(tmp_path / "G.mat", part(wave_matrix(np.arange(10.0, 30.0)), 2, 2)) or tmp_path / "G.mat"
+    content = bytearray(file.read_bytes())
+    at = content.index(struct.pack("<II", 9, 640))  # the first array's numbers
+    content[at : at + 4] = struct.pack("<I", 17)
+    file.write_bytes(content)
+    with pytest.raises(DataError, match="damaged, cut short"):
+        files.read(file, FOREIGN)
+
+
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     suffix=st.sampled_from(["csv", "uff", "tdms", "mat", "nc", "toml"]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -218,11 +219,47 @@ class MatReader(ArrayReader):
             if h5py.is_hdf5(file):
                 with h5py.File(file, "r") as content:
                     return dict(_of_hdf5(content, "", ".", turned=True))
+            check_elements(file.read_bytes())
             found = dict[str, Any]()
             for name, value in loadmat(file, appendmat=False).items():
                 if not name.startswith("__"):
                     found |= dict(_of_matlab(name, value))
             return found
+
+
+_MATRIX, _COMPRESSED = 14, 15
+_NUMBERS = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13})  # types of a version 5 file's data elements
+_ANY = _NUMBERS | {_MATRIX, _COMPRESSED, 16, 17, 18}  # the last three are text
+_NAME = (16, 2)  # in UTF-8, behind flags and dimensions
+
+
+def check_elements(content: bytes) -> None:
+    """ValueError for an element of a version 5 file that has no possible type, ends beyond its parent or is missing.
+
+    scipy follows such types into nothing and ends the program. Compressed elements have zlib's own checksum.
+    """
+    order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
+    spans = [] if order is None else [(128, len(content), _ANY, 0)]
+    while spans:
+        at, end, known, least = spans.pop()
+        place = 0
+        while at < end:
+            if end - at < 8:
+                raise ValueError(f"an element at byte {at} is cut short")
+            kind, size = struct.unpack_from(f"{order}II", content, at)
+            short = kind >> 16  # four bytes at most, in the tag itself
+            kind, body, size = (kind & 0xFFFF, at + 4, short) if short else (kind, at + 8, size)
+            if body + size > end or short > 4 or (kind not in known and (kind, place) != _NAME):
+                raise ValueError(f"the element at byte {at} has a type or length that cannot be")
+            if kind == _MATRIX and size >= 16:
+                flags = struct.unpack_from(f"{order}I", content, body + 8)[0]
+                numeric = 5 <= flags & 0xFF <= 15  # from 5, sparse, on a matrix holds numbers alone
+                parts = (6 if flags & 0xFF == 5 else 4) + (flags >> 11 & 1)  # an imaginary part where a bit says so
+                spans.append((body, body + size, *((_NUMBERS, parts) if numeric else (_ANY, 0))))
+            place += 1
+            at = at + 8 if short else body + size + (-size % 8 if kind != _COMPRESSED else 0)
+        if place < least:
+            raise ValueError(f"the matrix that ends at byte {end} has {place} elements of {least}")
 
 
 def _of_matlab(name: str, value: Any) -> Iterator[tuple[str, Any]]:

@@ -17,6 +17,7 @@ from ..store.folder import write_bytes
 from ..store.record import TIME_CONVENTION, labels, plain_json
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, IntArray
+from .arrays import check_elements
 from .reading import reading
 
 _NOTE = (
@@ -91,6 +92,7 @@ def read_thesis_mat(path: str | Path) -> TransferMatrix:
     """G of a file by :func:`write_thesis_mat`: its positive, excited bins; DataError if missing or damaged."""
     file = Path(path)
     with reading(file, "damaged, or not a G written by forearm_fem ({why})"):
+        check_elements(file.read_bytes())
         content = loadmat(file, appendmat=False, chars_as_strings=True)
         if "excited" not in content:
             return _of_own_frequencies(content)
