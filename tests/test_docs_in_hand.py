@@ -73,11 +73,11 @@ def of_mesh(folder: Path) -> None:
 
 
 def table() -> ComplexArray:
-    return np.array([[3.10 - 0.42j, 0.91 - 0.11j], [2.75 - 0.61j, 1.03 - 0.15j]]) * 1e-6
+    return np.asarray(np.array([[3.10 - 0.42j, 0.91 - 0.11j], [2.75 - 0.61j, 1.03 - 0.15j]]) * 1e-6, complex)
 
 
 def impulses() -> ComplexArray:
-    return SIZES / -((2 * np.pi * 20.0) ** 2) + 0j
+    return np.asarray(SIZES / -((2 * np.pi * 20.0) ** 2), complex)
 
 
 TABLE = np.array([[3.10 - 0.42j, 0.91 - 0.11j], [2.75 - 0.61j, 1.03 - 0.15j]]) * 1e-6

@@ -339,7 +339,8 @@ def test_a_tilted_point_feels_what_boussinesq_and_cerruti_say():
     """Forces along z and x on a compressible half-space at 1 Hz: u_r = (1 - 2 nu) F/(4 pi mu r) away from where the
     skin is pulled, and u_x = F/(2 pi mu r) ahead of, (1 - nu) F/(2 pi mu r) beside, a force along x."""
     mu, nu, r = 1e4, 0.25, 0.01
-    body = [Layer(math.inf, 1000.0, lambda w: mu * (1 + 0.01j) + 0 * w, 2 * mu * (1 + nu) / (3 * (1 - 2 * nu)))]
+    bulk = 2 * mu * (1 + nu) / (3 * (1 - 2 * nu))
+    body = [Layer(math.inf, 1000.0, lambda w: np.asarray(mu * (1 + 0.01j) + 0 * w, complex), bulk)]
     x, y, up = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     forces = [Disc(0.0, 0.0, axis=up), Disc(0.0, 0.0, axis=x)]
     points = [Disc(r, 0.0, axis=x), Disc(0.0, r, axis=y), Disc(0.0, r, axis=x), Disc(r, 0.0, axis=(0.6, 0.0, 0.8))]

@@ -209,8 +209,8 @@ def test_a_draw_becomes_a_scenario() -> None:
     assert drawn.gains["A1"] == pytest.approx(2 * draw.values["gain A1"])
     assert drawn.contact_springs["A4"] == draw.values["contact spring A4"]
     assert arm.rendering == SCENE.rendering
-    own = {"tissue", "skin tension", "fascia thickness", "fascia modulus", "grid x", "grid y", "grid turn"}
-    held = scenario_of(draw, SCENE, held=own)
+    still = {"tissue", "skin tension", "fascia thickness", "fascia modulus", "grid x", "grid y", "grid turn"}
+    held = scenario_of(draw, SCENE, held=still)
     assert held.tissues == SCENE.tissues
     assert held.grid == SCENE.grid
 
