@@ -154,6 +154,7 @@ def test_actuators_are_dragged_and_walked(browser: Any, arm: Stand, tmp_path: Pa
     assert now[0] == pytest.approx([home[0][0] + 1e-3, home[0][1] + 5e-3])
     assert strength(tab) != before
     assert tab.evaluate("document.activeElement.dataset.actuator") == "0"
+    mover.hover()  # scrolls, and waits until it lies still
     box = mover.bounding_box()
     assert box is not None
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
