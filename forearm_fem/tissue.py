@@ -244,10 +244,6 @@ class Tissue:
         """Decay -Im k of a plane shear wave [1/m] (physics_data.md 8.1)."""
         return np.asarray(-self.wavenumber(omega).imag)
 
-    def wavelength(self, omega: ArrayLike) -> FloatArray:
-        """Shear wavelength 2 pi / Re k [m]."""
-        return np.asarray(2 * np.pi / self.wavenumber(omega).real)
-
 
 @dataclass(frozen=True)
 class Sourced:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.io import wavfile
 
 sys.path.insert(0, str(Path(__file__).parent))
 from bad_files import CORNERS, TETRA
@@ -21,7 +22,7 @@ from forearm_fem import files
 from forearm_fem.engines.skin_model import ReducedFile
 from forearm_fem.errors import ForearmError
 from forearm_fem.files.reading import RecognitionWarning
-from forearm_fem.files.wav import read_wav_drives, write_wav_drives
+from forearm_fem.files.wav import read_wav_drives
 from forearm_fem.geometry.limb.filling import oriented
 from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
@@ -77,7 +78,7 @@ FORMATS = (
 PLAIN = (
     Format("thesis.mat", lambda p: files.write_thesis_mat(p, G, 200.0, 1.0), files.read_thesis_mat),
     Format("own.mat", lambda p: files.save(p, G), files.read),
-    Format("drives.wav", lambda p: write_wav_drives(p, DRIVES, 1e4), read_wav_drives),
+    Format("drives.wav", lambda p: wavfile.write(p, 10_000, DRIVES.T), read_wav_drives),
     Format("G.csv", lambda p: files.save(p, G), files.read),
 )  # formats of other programs, without checksums
 

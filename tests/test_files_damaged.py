@@ -35,7 +35,7 @@ from forearm_fem.files import read_sweep
 from forearm_fem.files.declaration import Declaration
 from forearm_fem.files.reading import RecognitionWarning
 from forearm_fem.files.tables import write_csv
-from forearm_fem.files.wav import read_wav_drives, write_wav_drives
+from forearm_fem.files.wav import read_wav_drives
 from forearm_fem.measurement.calibrate import calibrate, collected, record
 from forearm_fem.measurement.diagnostics import diagnose
 from forearm_fem.measurement.entry import entry
@@ -390,7 +390,7 @@ def _(tmp):
 
 @case("WAV: cut short", "cut short")
 def _(tmp):
-    write_wav_drives(tmp / "d.wav", np.ones((4, 100)), 1e4)
+    wavfile.write(tmp / "d.wav", 10000, np.ones((100, 4)))
     return read_wav_drives(cut(tmp / "d.wav"))
 
 

@@ -27,7 +27,7 @@ from forearm_fem.files.declaration import Declaration
 from forearm_fem.files.reading import RecognitionWarning
 from forearm_fem.files.recipe import ImportRecipe, import_by_recipe, load_recipe
 from forearm_fem.files.tables import TableReader
-from forearm_fem.files.wav import read_wav_drives, write_wav_drives
+from forearm_fem.files.wav import read_wav_drives
 from forearm_fem.measurement.calibrate import record
 from forearm_fem.rendering import from_samples_file, ricker
 from forearm_fem.transfer import TransferMatrix
@@ -235,14 +235,10 @@ def test_raw_sweeps_through_tdms(tmp_path):
 
 def test_wav_drives_are_exact(tmp_path):
     signals = np.random.default_rng(0).standard_normal((4, 500)) / 3
-    write_wav_drives(tmp_path / "d.wav", signals, 1e4)
+    wavfile.write(tmp_path / "d.wav", 10_000, signals.T)
     back, rate = read_wav_drives(tmp_path / "d.wav")
     np.testing.assert_array_equal(back, signals)
     assert rate == 1e4
-    with pytest.raises(DataError, match="whole sample rates"):
-        write_wav_drives(tmp_path / "e.wav", signals, 10000.5)
-    with pytest.raises(DataError, match="not finite"):
-        write_wav_drives(tmp_path / "e.wav", signals * np.nan, 1e4)
 
 
 @pytest.mark.parametrize(("dtype", "one"), [(np.int16, 16384), (np.int32, 2**30), (np.uint8, 192)])

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scenes import shows_itself
+from scipy.io import wavfile
 from test_measurement_scene import (
     INPUTS,
     OUTPUTS,
@@ -30,7 +31,6 @@ from test_measurement_scene import (
 )
 
 from forearm_fem.errors import AccuracyWarning, DataError, HardwareError, ScenarioError
-from forearm_fem.files.wav import write_wav_drives
 from forearm_fem.measurement.calibrate import calibrate, collected
 from forearm_fem.measurement.playback import play
 from forearm_fem.measurement.recording import read_recording
@@ -187,14 +187,14 @@ def test_run_calibration_asks_for_what_is_not_declared(tmp_path):
 
 def test_run_play_sends_wav_drives_and_reports(tmp_path):
     signals = 0.5 * np.sin(np.arange(1000) / 5) * np.array([[1.0], [-1.0]])
-    write_wav_drives(tmp_path / "d.wav", signals, RATE)
+    wavfile.write(tmp_path / "d.wav", int(RATE), signals.T)
     done = run_play(scenario(), tmp_path / "d.wav", virtual=VirtualSetup(SCENE), repeats=2, pause=0.1)
     assert done.seconds == pytest.approx(0.5 + 0.1 + 0.5)  # no silence after the last
     assert not done.stopped
     np.testing.assert_allclose(done.peak, 0.5, atol=1e-3)
     with pytest.raises(HardwareError, match=r"the limit is 2\.5 V"):
         run_play(scenario(), tmp_path / "d.wav", virtual=VirtualSetup(SCENE), scale=6.0)
-    write_wav_drives(tmp_path / "e.wav", signals, 8000)
+    wavfile.write(tmp_path / "e.wav", 8000, signals.T)
     with pytest.raises(HardwareError, match="sampled at 8000 Hz"):
         run_play(scenario(), tmp_path / "e.wav", virtual=VirtualSetup(SCENE))
     with pytest.raises(DataError, match="so --method and --target have no effect"):

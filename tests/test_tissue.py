@@ -90,7 +90,6 @@ def test_kelvin_voigt_wave_closed_form() -> None:
     decay = np.sqrt(rho * OMEGA**2 * (m - mu) / (2 * m**2))
     np.testing.assert_allclose(tissue.wave_speed(OMEGA), speed, rtol=1e-14)
     np.testing.assert_allclose(tissue.attenuation(OMEGA), decay, rtol=1e-12)  # m - mu cancels at 10 Hz
-    np.testing.assert_allclose(tissue.wavelength(OMEGA), speed * 2 * np.pi / OMEGA, rtol=1e-14)
 
 
 def test_incompressible_is_the_default() -> None:

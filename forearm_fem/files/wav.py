@@ -12,32 +12,10 @@ import numpy as np
 from scipy.io import wavfile
 
 from ..errors import DataError
-from ..store.folder import write_bytes
 from ..typing import FloatArray
 from .reading import reading
 
 _OPEN = 0xFFFFFFFF  # the length of what was written to a pipe
-
-
-def write_wav_drives(path: str | Path, signals: FloatArray, sample_rate: float) -> None:
-    """``signals`` (n_in, n) [V] as 64-bit floating point samples, whose value is the voltage: exact, nothing is scaled.
-
-    Players take 1.0 for their full scale, so set the amplifier accordingly. Raises DataError for samples
-    that are not finite and for a rate that is no whole number [Hz], which WAV cannot hold.
-    """
-    if signals.ndim != 2 or signals.size == 0:
-        raise DataError(f"{path}: expected signals of shape (actuators, samples), got {signals.shape}")
-    if not np.all(np.isfinite(signals)):
-        raise DataError(
-            f"{path}: {np.count_nonzero(~np.isfinite(signals))} samples are not finite; nothing was written"
-        )
-    if sample_rate != int(sample_rate):
-        raise DataError(
-            f"{path}: a WAV file holds whole sample rates only, got {sample_rate:g} Hz; resample the drives"
-        )
-    memory = io.BytesIO()
-    wavfile.write(memory, int(sample_rate), np.ascontiguousarray(signals.T, dtype="<f8"))
-    write_bytes(path, memory.getvalue())
 
 
 def read_wav_drives(path: str | Path, *, full_scale: float | None = None) -> tuple[FloatArray, float]:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
-from matplotlib.tri import Triangulation
 
 from ..errors import DataError
 from ..geometry.mesh.tissue_mesh import TissueMesh
@@ -30,11 +28,6 @@ class VolarPatch:
     points: FloatArray
     triangles: IntArray
     normals: FloatArray
-
-    @cached_property
-    def triangulation(self) -> Triangulation:
-        """Seen from above, in mm."""
-        return Triangulation(1e3 * self.points[:, 0], 1e3 * self.points[:, 1], self.triangles)
 
     def weights(self, places: FloatArray) -> tuple[IntArray, FloatArray]:
         """Corners (k, 3), indices into the patch, and weights (k, 3) of points (k, 2) [m] seen from above.

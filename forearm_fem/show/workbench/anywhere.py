@@ -27,6 +27,7 @@ from ...scenario import Scenario
 from ...transfer import ErrorEstimate, TransferMatrix, finite
 from ...typing import ComplexArray, FloatArray, IntArray
 from .packed import packed
+from .places import moved
 
 __all__ = ["CLOSEST", "MARGIN", "Anywhere", "anywhere_of", "packed_anywhere"]
 
@@ -241,18 +242,6 @@ def _missed(found: Anywhere, scenario: Scenario, transfer: TransferMatrix) -> Er
         "interpolation", band, "the page's tables for moved actuators against the layered engine's own G, the worst of "
         f"{len(arrangements)} arrangements", tuple(transfer.frequency.tolist()), tuple(worst.tolist()),
     )  # fmt: skip
-
-
-def moved(scenario: Scenario, contacts: FloatArray, points: FloatArray) -> Scenario:
-    """The scenario with whole actuators at ``contacts`` (n, 2) and ``points`` (n, 2) [m], in the limb's own frame."""
-    return scenario.changed({
-        "device.contacts": _pairs(contacts), "device.rotation": 0.0, "device.out_of_contact": (), "device.gains": {},
-        "device.contact_springs": {}, "grid.points": _pairs(points),
-    })  # fmt: skip
-
-
-def _pairs(places: FloatArray) -> tuple[tuple[float, float], ...]:
-    return tuple((float(x), float(y)) for x, y in places)
 
 
 def _drawn(found: Anywhere, home: FloatArray, points: FloatArray) -> list[FloatArray]:

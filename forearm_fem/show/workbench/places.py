@@ -162,7 +162,7 @@ def places_of(arm: LibraryOfArm, scenario: Scenario, progress: Progress | None =
     of the scenario's arrangement and four drawn ones, of G by the library itself.
     """
     layout = layout_of(scenario)
-    plain = _with(scenario, layout.contacts, layout.points)
+    plain = moved(scenario, layout.contacts, layout.points)
     xy = _lattice(arm, plain, _MOST)
     ports = [_alone(arm, plain, place) for place in xy]
     given = tuple(p for p in arm.ports(plain) if p.kind == "point")
@@ -200,7 +200,7 @@ def patch_field(arm: LibraryOfArm, places: Places) -> Field:
     return Field((surface,), np.zeros((len(places.frequency), len(places.xy), 0), dtype=complex), 0.0, words)
 
 
-def _with(scenario: Scenario, contacts: FloatArray, points: FloatArray) -> Scenario:
+def moved(scenario: Scenario, contacts: FloatArray, points: FloatArray) -> Scenario:
     """The scenario with other places in the limb's own frame, whole actuators all of them."""
     return scenario.changed({
         "device.contacts": _pairs(contacts), "device.rotation": 0.0, "device.out_of_contact": (), "device.gains": {},
@@ -230,7 +230,7 @@ def _alone(arm: LibraryOfArm, scenario: Scenario, place: FloatArray) -> Port:
     """
     a = scenario.device.cone.radius
     point = np.where(place > 0, -1.5, 1.5) * a if np.linalg.norm(place) < 1.5 * a else np.zeros(2)
-    return arm.ports(_with(scenario, place[None], point[None]))[0]
+    return arm.ports(moved(scenario, place[None], point[None]))[0]
 
 
 def _taken(arm: LibraryOfArm, scenario: Scenario, place: FloatArray) -> bool:
@@ -285,7 +285,7 @@ def _sent(
     open_ = np.flatnonzero(away > bare.radius + _RIM)
     found = np.empty((len(bare.frequency), len(xy)), dtype=complex)
     for rows in np.array_split(open_, max(len(open_) // _AT_ONCE, 1)):
-        answer = arm.compliance(_with(scenario, place[None], xy[rows]))
+        answer = arm.compliance(moved(scenario, place[None], xy[rows]))
         contact = answer.indices("contact")[0]
         found[:, rows] = answer.values[:, answer.indices("point"), contact] - bare.layered_at(away[rows])
         own = answer.values[:, contact, contact] - bare.layered[:, 0]
@@ -320,7 +320,7 @@ def _process(xy: FloatArray, right: ComplexArray, left: ComplexArray) -> tuple[f
 def _missed(arm: LibraryOfArm, scenario: Scenario, places: Places) -> ErrorEstimate:
     """G of the places against G of the library, on the scenario's arrangement and drawn ones; the worst of them."""
     layout = layout_of(scenario)
-    home = arm.compliance(_with(scenario, layout.contacts, layout.points))
+    home = arm.compliance(moved(scenario, layout.contacts, layout.points))
     arrangements = [(layout.contacts, home), *_drawn(arm, scenario, layout.contacts)]
     worst, band = np.zeros(len(places.frequency)), 0.0
     for contacts, exact in arrangements:
@@ -346,7 +346,7 @@ def _drawn(arm: LibraryOfArm, scenario: Scenario, home: FloatArray) -> list[tupl
     for _ in range(_TRIES):
         contacts = rng.uniform(-1, 1, size=home.shape) * half
         try:
-            arm.ports(asked := _with(scenario, contacts, points))
+            arm.ports(asked := moved(scenario, contacts, points))
             found.append((contacts, arm.compliance(asked)))
         except GeometryError:
             continue
