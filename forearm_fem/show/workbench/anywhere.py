@@ -26,12 +26,12 @@ from ...progress import Progress
 from ...scenario import Scenario
 from ...transfer import ErrorEstimate, TransferMatrix, finite
 from ...typing import ComplexArray, FloatArray, IntArray
+from .flat import MARGIN
 from .packed import packed
 from .places import moved
 
-__all__ = ["CLOSEST", "MARGIN", "Anywhere", "anywhere_of", "packed_anywhere"]
+__all__ = ["CLOSEST", "Anywhere", "anywhere_of", "packed_anywhere"]
 
-MARGIN = 0.016  # [m] of skin around the run's ports, in which actuators can stand
 CLOSEST = 3.0  # radii between the middles of two discs: nearer, the tables' two azimuthal orders miss 3 % and more
 _ROUND = 0.01  # [m] to which tables reach, so that one serves alike devices
 _CHANNELS = (2, 2, 1)  # of azimuthal order 0, 1 and 2, besides the force: leaves out 1e-3 of G, twice as many 5e-4

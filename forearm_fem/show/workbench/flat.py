@@ -11,9 +11,9 @@ from ...layered import Disc, layered_compliance
 from ...ports import Port, positions
 from ...scenario import Scenario
 from ...typing import ComplexArray, FloatArray, IntArray
-from .anywhere import MARGIN
 from .field import Field, Surface
 
+MARGIN = 0.016  # [m] of skin around the run's ports, in which actuators can stand
 _MM = 1e3
 _SIDE = 61  # vertices along the longer side
 _AT_ONCE = 12  # radii: motion from each to each is computed too, unasked
