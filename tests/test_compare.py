@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -263,6 +264,14 @@ def test_wavelet_sits_on_the_common_bins():
     odd = wavelet_for(np.arange(9, 201) * 1300 / 522)
     assert odd.record.df == pytest.approx(1300 / 522)
     assert wavelet_for(np.array([10.0, 17.0, 19.0])).record.n == 20000
+
+
+def test_two_files_of_one_name_are_told_apart_by_their_folders(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for folder, factor in (("one", 1.0), ("two", 1.05)):
+        Path(folder).mkdir()
+        save(Path(folder) / "G.nc", changed(A, factor))
+    assert "two/G.nc differs from one/G.nc" in run_compare("one/G.nc", "two/G.nc").text
 
 
 def test_run_compare_writes_table_csv_json_and_figure(tmp_path):

@@ -120,6 +120,8 @@ def run_compare(
     tell(progress, "reading", 0, 1)
     first, second = _load(a, declaration_a, scenario, "--declare-a"), _load(b, declaration_b, scenario, "--declare-b")
     names = (_name(a, "A"), _name(b, "B"))
+    if names[0] == names[1]:  # their folders tell them apart
+        names = (str(a), str(b))
     folders = [Path(g).resolve().parent for g in (a, b) if not isinstance(g, TransferMatrix)]
     result = compare(first, second, names=names, render=render, folders=folders, progress=progress)
     tell(progress, "report", 0, 1)
