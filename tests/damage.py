@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import wavfile
 
 sys.path.insert(0, str(Path(__file__).parent))
 from bad_files import CORNERS, TETRA
@@ -22,7 +21,6 @@ from forearm_fem import files
 from forearm_fem.engines.skin_model import ReducedFile
 from forearm_fem.errors import ForearmError
 from forearm_fem.files.reading import RecognitionWarning
-from forearm_fem.files.wav import read_wav_drives
 from forearm_fem.geometry.limb.filling import oriented
 from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
@@ -36,7 +34,6 @@ RNG = np.random.default_rng(0)
 G = dataclasses.replace(
     wave_matrix(np.arange(10.0, 40.5, 2.0)), deviation=1e-8 * (1 + RNG.random((16, 9, 4))), provenance={"seed": 3}
 )
-DRIVES = RNG.standard_normal((4, 100))
 SIGNALS = io.Signals(RNG.standard_normal((1, 2, 4, 50)), ("a",), ("1", "5"), tuple("wxyz"), np.arange(50) * 1e-4, "V")
 REDUCED = ReducedFile(
     ("k", "m"), np.stack([np.eye(6), 2 * np.eye(6)]), RNG.standard_normal((6, 4)), np.ones(4), INPUTS, {"a": 1}
@@ -78,7 +75,6 @@ FORMATS = (
 PLAIN = (
     Format("thesis.mat", lambda p: files.write_thesis_mat(p, G, 200.0, 1.0), files.read_thesis_mat),
     Format("own.mat", lambda p: files.save(p, G), files.read),
-    Format("drives.wav", lambda p: wavfile.write(p, 10_000, DRIVES.T), read_wav_drives),
     Format("G.csv", lambda p: files.save(p, G), files.read),
 )  # formats of other programs, without checksums
 

@@ -271,7 +271,9 @@ def test_two_files_of_one_name_are_told_apart_by_their_folders(tmp_path, monkeyp
     for folder, factor in (("one", 1.0), ("two", 1.05)):
         Path(folder).mkdir()
         save(Path(folder) / "G.nc", changed(A, factor))
-    assert "two/G.nc differs from one/G.nc" in run_compare("one/G.nc", "two/G.nc").text
+    text = run_compare("one/G.nc", "two/G.nc").text
+    assert "two/G.nc differs from one/G.nc" in text
+    assert "forearm-fem render two/G.nc" in text
 
 
 def test_run_compare_writes_table_csv_json_and_figure(tmp_path):

@@ -45,17 +45,20 @@ def as_csv(c: Comparison) -> str:
     return str(table.to_csv(index=False, lineterminator="\n"))
 
 
-def as_markdown(c: Comparison) -> str:
+def as_markdown(c: Comparison, asked: Mapping[str, Any] | None = None) -> str:
     """The short form of :func:`comparison_page`."""
-    return comparison_page(c).markdown()
+    return comparison_page(c, asked, drawn=False).markdown()
 
 
-def comparison_page(c: Comparison, asked: Mapping[str, Any] | None = None) -> Page:
-    """The comparison for people: how far apart, where, the likeliest cause and S first; entry by entry folded."""
+def comparison_page(c: Comparison, asked: Mapping[str, Any] | None = None, *, drawn: bool = True) -> Page:
+    """The comparison for people: how far apart, where, the likeliest cause and S first; entry by entry folded.
+
+    Pictures, most of its time, are left out unless ``drawn``: the short form has none.
+    """
     s = comparison_record(c)
     first, second = c.names
     warnings = [f"{named(c, note)}." for note in c.notes if note != c.where.cause]
-    differ = bool(np.nanmax(c.where.error, initial=0.0) > 0)
+    differ = drawn and bool(np.nanmax(c.where.error, initial=0.0) > 0)
     sections = [
         Section("where", "Where they differ", block=_bands(c), pictures=[
             embedded(plot_where(c), f"Difference of {second} from {first}, of the largest entry in each band: discs "
@@ -66,8 +69,10 @@ def comparison_page(c: Comparison, asked: Mapping[str, Any] | None = None) -> Pa
         Section("overall", "Overall", _overall(s), [_ground(s)], folded=True),
         Section("entries", "Entry by entry", _entries(s), folded=True),
         Section("condition", "Condition number", _condition(s), folded=True),
-        Section("picture", "Worst entry, e(f), patterns and S", pictures=[embedded(picture(c), "")], folded=True),
     ]  # fmt: skip
+    if drawn:
+        shown = [embedded(picture(c), "")]
+        sections.append(Section("picture", "Worst entry, e(f), patterns and S", pictures=shown, folded=True))
     return Page(f"{second} against {first}", answer_lines(c), sections, f"forearm_fem {__version__}")
 
 

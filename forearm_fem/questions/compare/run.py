@@ -55,11 +55,16 @@ __all__ = ["CompareResult", "FitCommandResult", "run_compare", "run_fit"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompareResult(Manners):
-    """The comparison, its table as text and the files written (none without a folder)."""
+    """The comparison, what was ``asked`` (files, how they were read) and the files written, none without a folder."""
 
     comparison: Comparison
-    text: str
+    asked: Mapping[str, Any]
     files: tuple[Path, ...]
+
+    @property
+    def text(self) -> str:
+        """The report in its short form, Markdown."""
+        return as_markdown(self.comparison, self.asked)
 
     @property
     def line(self) -> str:
@@ -94,7 +99,7 @@ class CompareResult(Manners):
 
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write report, picture and numbers into ``folder``."""
-        return save_report(self.comparison, folder)
+        return save_report(self.comparison, folder, self.asked)
 
 
 def run_compare(
@@ -126,7 +131,7 @@ def run_compare(
     result = compare(first, second, names=names, render=render, folders=folders, progress=progress)
     tell(progress, "report", 0, 1)
     files = save_report(result, folder, asked) if folder is not None else ()
-    return CompareResult(result, as_markdown(result), files)
+    return CompareResult(result, asked, files)
 
 
 def _load(
