@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal
@@ -305,12 +305,12 @@ def changed(more: ComplexArray, less: ComplexArray, kinds: Sequence[BoolArray]) 
 
 
 def galerkin(
-    discs: Sequence[Disc], surface: Surface, terms: int, orders: int, *, points_drive: bool = True
+    discs: Sequence[Disc], surface: Surface, terms: int, orders: int, *, silent: Collection[int] = ()
 ) -> Galerkin:
     """The system of ``discs`` (points among them), no two the same, points under rigid discs left out.
 
-    Unless ``points_drive``, nothing between two points is in it: two that nearly meet ask for the shortest waves of
-    all.
+    Nothing between two of the ``silent`` ones is in it, points and pressed discs that do not drive: two points that
+    nearly meet ask for the shortest waves of all.
     """
     tractions, owner = [port_traction(disc) for disc in discs], list(range(len(discs)))
     for i, disc in enumerate(discs):
@@ -322,13 +322,14 @@ def galerkin(
                 if t.m == 0 and t.radial.degree == 0 and t.radial.kind not in ("ring", "point")}  # fmt: skip
     rings = [(i, carrying[owner[i], t.component]) for i, t in enumerate(tractions)
              if t.radial.kind == "ring" and t.m == 0]  # fmt: skip
-    grips = [[carrying[i, sign] for sign in ("+", "-")] for i in range(len(discs)) if (i, "+") in carrying]
+    grips = [[carrying[i, sign] for sign in ("+", "-")] for i, disc in enumerate(discs)
+             if disc.rigid and (i, "+") in carrying]  # fmt: skip
     tilting = {(owner[i], t.m): i for i, t in enumerate(tractions)
                if t.component == "z" and abs(t.m) == 1 and t.radial == Radial("ball", t.radial.radius, 1)}  # fmt: skip
     tilts = [[tilting[i, m] for m in (1, -1)] for i in range(len(discs)) if (i, 1) in tilting]
     moments = [(i, tilting[owner[i], t.m]) for i, t in enumerate(tractions)
                if t.radial.kind == "ring" and t.component == "z" and abs(t.m) == 1]  # fmt: skip
-    table, place, column, factor = _pairs(tractions, where, points_drive)
+    table, place, column, factor = _pairs(tractions, where, np.isin(np.arange(len(tractions)), [*silent]))
     last, order = np.array([(t.last, t.order) for t in tractions], dtype=int).T
     points = np.flatnonzero([disc.radius == 0 for disc in discs])
     radii = np.array([discs[owner[i]].radius for i, _ in tilts])
@@ -337,7 +338,7 @@ def galerkin(
 
 
 def _pairs(
-    tractions: Sequence[Traction], where: FloatArray, points_drive: bool
+    tractions: Sequence[Traction], where: FloatArray, silent: BoolArray
 ) -> tuple[HankelTable, IntArray, IntArray, ComplexArray]:
     """Table, and place, column and factor of each pair i <= j with a non-zero entry."""
     radials = tuple(sorted({t.radial for t in tractions}))
@@ -351,7 +352,7 @@ def _pairs(
     distance, angle = np.hypot(*across.T).round(12), np.arctan2(across[:, 1], across[:, 0])
     q = -(m[i] + m[j] + np.real(shifts[c[i], c[j]]).astype(int))
     points = np.array([r.kind == "point" for r in radials])
-    left_out = points[g[i]] & points[g[j]] & ((distance == 0) | (not points_drive))
+    left_out = (points[g[i]] & points[g[j]] & (distance == 0)) | (silent[i] & silent[j])
     kept = ((distance > 0) | (q == 0)) & ~left_out
     i, j, q, distance, angle = i[kept], j[kept], q[kept], distance[kept], angle[kept]
     phase = (-1j) ** (np.abs(m[i]) + np.abs(m[j])) * (-1.0) ** m[i] * 1j ** np.abs(q) * np.exp(-1j * q * angle)

@@ -183,8 +183,8 @@ def layered_compliance(
     discs, rows, columns, seen, driven = _components(discs_in, discs_out)
     terms = terms_of(discs, medium, omega) if terms is None else terms
     orders = scattered_orders(discs) if orders is None else orders
-    points_drive = any(discs[i].radius == 0 for i in columns.tolist())
-    system = galerkin(discs, medium.surface, terms, orders, points_drive=points_drive)
+    silent = [i for i, disc in enumerate(discs) if not disc.rigid and i not in columns]
+    system = galerkin(discs, medium.surface, terms, orders, silent=silent)
     expected = min(omega.size, MOST + 1)
     asked = np.zeros((system.ports, system.ports), dtype=bool)
     asked[np.ix_(rows, columns)] = True
