@@ -325,10 +325,10 @@ class _Builder:
     def _at(self, kinds: HankelTable, distance: FloatArray) -> ComplexArray:
         """(n_distance, n_node, n_kind)."""
         m, n = len(distance), kinds.a.size
-        columns = [np.tile(x, m) for x in _columns(kinds)[:-1]]
-        order = np.argsort(columns[0], kind="stable")
+        order = np.argsort(np.tile(kinds.kernel, m), kind="stable")
         values = np.empty((self.omega.size, order.size), dtype=complex)
-        table = HankelTable(kinds.radials, *(c[order] for c in columns), np.repeat(distance, n)[order])
+        kernel, a, b, q = (np.tile(x, m)[order] for x in (kinds.kernel, kinds.a, kinds.b, kinds.order))
+        table = HankelTable(kinds.radials, kernel, a, b, q, np.repeat(distance, n)[order])
         values[:, order] = self.solved(table)
         return values.reshape(self.omega.size, m, n).swapaxes(0, 1)
 
