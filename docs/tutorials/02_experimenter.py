@@ -46,7 +46,7 @@ print(f"measured against the truth: e_band {error:.4f}")
 print("\n".join(compare(measured, believed, render=False).text.splitlines()[:16]))
 
 # %%
-# **Fit** what differs. The data give the modulus and its interval, and parameters that they cannot tell apart are named.
+# **Fit** what differs. The data give the modulus and its interval, and name parameters that they cannot tell apart.
 fitted = fit(subject, measured, ["muscle.mu"], frequencies=12)
 print(fitted.text)
 

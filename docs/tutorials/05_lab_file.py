@@ -30,8 +30,7 @@ played = render(g, scene)
 print(repr(played.strength))
 
 # %%
-# **A fit**: which muscle brings the model's G nearest to the file's? The answer has an interval, and names what the data
-# leave open.
+# **A fit**: which muscle brings the model's G nearest to the file's? The answer has an interval.
 found = fit(scene, g, ["muscle.mu"], frequencies=12)
 print(repr(found))
 value, low, high = found.sel("muscle.mu")
