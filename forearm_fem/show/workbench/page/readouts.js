@@ -35,7 +35,7 @@ export function heads(app) {
         h("button", { type: "button", class: CLASS[method], "aria-pressed": String(app.focus === method), onclick: () => { app.focus = method; app.rescale(); }, text: `${title}${method}` }),
         h("div", { class: "s", "data-method": method }, whatIsS(),  o.problem ? "–" : say(o.strength)),
         h("div", { class: "why", text: why }), beside ? h("div", { class: "why beside", text: beside }) : null,
-        band ? h("div", { class: "why", "data-arms": method, text: `people ${say(band[0])} to ${say(band[2])}, median ${say(band[1])}` }) : null),
+        band ? h("div", { class: "why", "data-arms": method, text: `people ${say(band[0], 2)} to ${say(band[2], 2)}, median ${say(band[1], 2)}` }) : null),
       h("div", { class: "foot", text: arms.words(method, experiment, key) }));
   }));
 }
@@ -176,7 +176,7 @@ function fill(app, version, row) {
     if (!cell) continue;
     const s = experiment.strength(method, row), range = experiment.interval(method, row);
     const band = experiment.arms(method, row), before = app.kept?.strength(method, row);
-    cell.replaceChildren(say(s), ...(range ? [" ", h("small", { text: `(${say(range[0])}–${say(range[1])})` })] : []), ...(band ? [" ", h("small", { text: `people ${say(band[0])}–${say(band[2])}` })] : []),
+    cell.replaceChildren(say(s), ...(range ? [" ", h("small", { text: `(${say(range[0])}–${say(range[1])})` })] : []), ...(band ? [" ", h("small", { class: "people", text: `people ${say(band[0], 2)}–${say(band[2], 2)}` })] : []),
       ...(before === undefined ? [] : [" ", h("small", { class: s > before ? "gain" : "loss", text: `kept ${say(before)}` })]));
     /** @type {HTMLElement} */ (cell).dataset.value = String(s);
   }
