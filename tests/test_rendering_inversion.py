@@ -15,9 +15,9 @@ from forearm_fem.rendering import (
     InverseFilter,
     Regularisation,
     drives,
-    invert,
     ricker,
 )
+from forearm_fem.rendering.inversion import decomposed, least_squares
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +35,10 @@ METHODS = (InverseFilter(), Funneling(), Combination())
 
 
 # ---------------------------------------------------------------- regularisation
+
+
+def invert(matrix, wanted, regularisation, frequency):
+    return least_squares(decomposed(matrix), wanted, regularisation, frequency)
 
 
 def random_problem(rng, shape=(6, 5, 4)):

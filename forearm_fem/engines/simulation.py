@@ -19,7 +19,7 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..progress import Progress
 from ..rendering import Rendering
 from ..rendering.interval import Strength
-from ..rendering.job import RenderJob, render_transfer
+from ..rendering.job import render_transfer
 from ..scenario import Scenario
 from ..scenario.sweep import frequencies
 from ..tissue import resolve_tissues
@@ -177,10 +177,3 @@ def render(simulation: Simulation, *, progress: Progress | None = None) -> Rende
             "render_transfer(SCENARIO, G), or forearm_fem.rendering.render_all(G)"
         )
     return render_transfer(simulation.scenario, simulation.transfer, base=simulation.base, progress=progress)
-
-
-def account_of(
-    scenario: Scenario, transfer: TransferMatrix, rendering: Rendering, *, base: str | Path = "."
-) -> Strength:
-    """Intervals and companions of every S of ``rendering``, which :func:`render_transfer` made of ``transfer``."""
-    return RenderJob.of(scenario, transfer, base=base).account(transfer, rendering)

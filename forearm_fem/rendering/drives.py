@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
@@ -172,38 +172,3 @@ def _unanswered(placed: BinnedTransfer, spectrum: ComplexArray, outside: float) 
     if total == 0:
         return np.zeros(len(placed.outputs))
     return np.asarray((energy.sum(axis=1) @ missing + max(outside, 0.0)) / total)
-
-
-def scaled(drives: Drives, factor: float) -> Drives:
-    """The drives times ``factor`` [-]; everything is linear, so displacements scale alike and S stays."""
-    return replace(drives, spectrum=factor * drives.spectrum)
-
-
-def scale_to(
-    drives: Drives,
-    transfer: TransferMatrix | BinnedTransfer | None = None,
-    *,
-    target_peak: float | None = None,
-    drive_peak: float | None = None,
-) -> Drives:
-    """The drives scaled so that the target's largest |displacement| is ``target_peak`` [m], or the largest
-    |signal| of any actuator is ``drive_peak`` [V or G's drive unit].
-
-    ``transfer`` is needed for ``target_peak``. Raises ScenarioError unless exactly one peak is given and
-    positive, and for drives that are zero.
-    """
-    wanted = target_peak if drive_peak is None else drive_peak
-    if wanted is None or not 0 < wanted < np.inf or (target_peak is not None and drive_peak is not None):
-        raise ScenarioError("scale_to needs one positive peak: target_peak [m] or drive_peak")
-    if drive_peak is None:
-        if transfer is None:
-            raise ScenarioError("scale_to needs G to reach a target_peak")
-        reached = displacements(transfer, drives)
-        peak = float(np.abs(reached.values[reached.target_index]).max())
-    else:
-        peak = float(np.abs(drives.signals).max())
-    if not peak > 0:
-        raise ScenarioError(
-            f"{drives.method} towards '{drives.target}' is silent or unknown there: it cannot be scaled"
-        )
-    return scaled(drives, wanted / peak)

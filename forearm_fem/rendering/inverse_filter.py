@@ -27,10 +27,10 @@ class InverseFilter:
     H is the rows of G of the target and the zero points, U the wavelet at the target and zero elsewhere. With
     more control points than actuators this is least squares: neither target nor zeros are met exactly, and
     without damping the target reaches the share 1 - m^2 of what was asked, m = ``Drives.inversion.misfit``,
-    which varies with frequency. So ``peak`` [m], which scales the wavelet, is not reached either: use
-    :func:`scale_to` for that. ``zeros`` is a rule or names of outputs. ``regularisation`` None follows the number of
-    actuators: up to the thesis' four, the pseudo-inverse; more, the damping that the error of a measured G asks for
-    (:class:`Regularisation`, "noise"), at least that for ``least_error`` [-], e(f) that G is taken to err by.
+    which varies with frequency. So ``peak`` [m], which scales the wavelet, is not reached either. ``zeros`` is a rule
+    or names of outputs. ``regularisation`` None follows the number of actuators: up to the thesis' four, the
+    pseudo-inverse; more, the damping that the error of a measured G asks for (:class:`Regularisation`, "noise"), at
+    least that for ``least_error`` [-], e(f) that G is taken to err by.
     """
 
     zeros: Zeros = field(default_factory=AutoZeros)

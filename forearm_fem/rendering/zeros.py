@@ -6,19 +6,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from math import comb
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 
 from ..errors import GeometryError, ScenarioError
 from ..metrics.strength import area, plain_strength
 from ..progress import Progress, tell
-from ..transfer import TransferMatrix
 from ..typing import FloatArray
-from .drives import Aim, Renderer
+from .drives import Aim
 from .lattice import lattice_of
-from .spectrum import BinnedTransfer, on_record_bins, respond
-from .wavelet import Wavelet, Window, window_of
+from .spectrum import BinnedTransfer, respond
 
 _MOST_SETS = 200  # tried one by one
 _LOUDEST, _ROUNDS = 12, 2  # of an exchange
@@ -204,49 +202,3 @@ def settled_zeros(zeros: Zeros, placed: BinnedTransfer, targets: Sequence[str]) 
 
 def _unasked(names: tuple[str, ...]) -> Aim:
     raise AssertionError(f"a rule of places aimed with {names}")
-
-
-class Zeroed(Renderer, Protocol):
-    """A renderer (a dataclass) with zero points."""
-
-    @property
-    def zeros(self) -> Zeros:
-        """Its zero points."""
-
-    def with_zeros(self, zeros: Zeros) -> Self:
-        """The same renderer with other zero points."""
-
-
-@dataclass(frozen=True)
-class ZeroSearch:
-    """Best ``zeros`` and their ``strength`` S [-]; ``ranking`` has every set tried with its S, best first."""
-
-    zeros: tuple[str, ...]
-    strength: float
-    ranking: tuple[tuple[tuple[str, ...], float], ...]
-
-
-def best_zeros(
-    renderer: Zeroed,
-    transfer: TransferMatrix | BinnedTransfer,
-    target: str,
-    wavelet: Wavelet,
-    *,
-    size: int = 4,
-    window: Window = "wavelet",
-) -> ZeroSearch:
-    """The ``size`` zero points that give ``renderer`` the largest S at output ``target``, searched as by
-    :class:`SearchedZeros`.
-
-    S is that of the same G the drives are computed from; a set that is best on a wrong G need not be on the
-    arm. Raises ScenarioError for an impossible size or an unknown target.
-    """
-    placed = transfer if isinstance(transfer, BinnedTransfer) else on_record_bins(transfer, wavelet.record)
-    spectrum = wavelet.spectrum[placed.bins.index]
-
-    def aim(zeros: tuple[str, ...]) -> Aim:
-        """Drives with ``zeros`` held still."""
-        return renderer.with_zeros(zeros).aim(placed, target, spectrum)
-
-    ranking = SearchedZeros(size, window_of(window, wavelet)).ranking(placed, target, aim)
-    return ZeroSearch(ranking[0][0], ranking[0][1], ranking)

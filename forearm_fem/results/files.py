@@ -30,7 +30,6 @@ __all__ = [
     "read_transfer",
     "stack",
     "strength_rows",
-    "write_compliance",
     "write_displacements",
     "write_drives",
     "write_signal_strength_csv",
@@ -59,11 +58,6 @@ def write_transfer(path: str | Path, transfer: TransferMatrix, compliance: Compl
     if compliance is not None and not np.array_equal(compliance.frequency, transfer.frequency):
         raise DataError(f"{path}: G and the compliance have different frequencies; write them to two files")
     save(path, TransferFile(transfer, compliance))
-
-
-def write_compliance(path: str | Path, compliance: Compliance) -> None:
-    """Write ``compliance`` alone: the expensive half, from which any device can be closed."""
-    save(path, TransferFile(None, compliance))
 
 
 def read_transfer(path: str | Path) -> TransferMatrix:

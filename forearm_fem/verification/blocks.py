@@ -10,8 +10,6 @@ from ..geometry.limb.filling import oriented, stack_prisms
 from ..geometry.mesh.tissue_mesh import EDGES, Bends, TissueMesh, boundary_faces
 from ..typing import FloatArray, IntArray
 
-FACES = ("x0", "x1", "y0", "y1", "z0", "z1")
-
 
 def block_mesh(
     counts: Sequence[int],
