@@ -9,14 +9,7 @@ import pytest
 from test_rendering import waves
 
 from forearm_fem.errors import ScenarioError
-from forearm_fem.rendering import (
-    Combination,
-    Funneling,
-    InverseFilter,
-    Regularisation,
-    drives,
-    ricker,
-)
+from forearm_fem.rendering import Combination, Funneling, InverseFilter, Regularisation, drives, ricker
 from forearm_fem.rendering.inversion import decomposed, least_squares
 
 

@@ -32,10 +32,10 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import positions
 from ..progress import Progress, tell, within
 from ..rendering import Rendering
+from ..rendering.drives import counted_points
+from ..rendering.funneling import is_thesis_grid
 from ..rendering.interval import Strength, finer_than_known
 from ..rendering.job import RenderJob, check_servable, wavelet
-from ..rendering.lattice import is_thesis_grid
-from ..rendering.limits import counted_points
 from ..results.files import (
     read_transfer,
     refuse_other_g,

@@ -9,15 +9,37 @@
 """
 
 from .bridging import Bridged, Interpolation, bridged
-from .drives import Aim, Displacements, Drives, Renderer, displacements, drives
+from .drives import (
+    Aim,
+    Displacements,
+    DriveReport,
+    Drives,
+    Limits,
+    Renderer,
+    beyond_limits,
+    check,
+    displacements,
+    drives,
+)
 from .funneling import Funneling, funneling_weights
-from .inverse_filter import Combination, InverseFilter
+from .inverse_filter import AutoZeros, Combination, FixedZeros, InverseFilter, SearchedZeros, ThesisZeros
 from .inversion import Inversion, Regularisation
-from .limits import DriveReport, Limits, beyond_limits, check
 from .rendered import Rendered, Rendering, render_all, strengths, thesis_renderers
-from .spectrum import BinnedTransfer, BinValues, Record, on_record_bins, place_on_bins, respond, to_spectrum, to_time
-from .wavelet import Wavelet, Window, from_samples_file, ricker, window_of
-from .zeros import AutoZeros, FixedZeros, SearchedZeros, ThesisZeros
+from .signals import (
+    BinnedTransfer,
+    BinValues,
+    Record,
+    Wavelet,
+    Window,
+    from_samples_file,
+    on_record_bins,
+    place_on_bins,
+    respond,
+    ricker,
+    to_spectrum,
+    to_time,
+    window_of,
+)
 
 __all__ = [
     "Aim",

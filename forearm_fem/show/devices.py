@@ -17,7 +17,7 @@ from ..errors import DataError
 from ..metrics.strength import strength_text
 from ..ports import positions
 from ..progress import Progress, tell
-from ..rendering.limits import rim_gaps
+from ..rendering.drives import rim_gaps
 from ..transfer import total_error
 from ..typing import BoolArray, FloatArray
 from .answer import MethodAnswer, interval_words, method_answers, not_counted, people_words, subject_of

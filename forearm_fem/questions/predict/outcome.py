@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 
 from ...device import close_loop
 from ...errors import ReductionError
 from ...measurement.chain import reported
-from ...ports import Port
 from ...rendering.interval import interval
 from ...rendering.job import RenderJob
 from ...results.draws import KEPT, READINGS, Outcome
 from ...scenario import Scenario
 from ...scenario.sweep import frequencies
 from ...tissue import REFERENCE, resolve_tissues
-from ...transfer import TransferMatrix, finite, total_error
-from ...typing import FloatArray
+from ...transfer import finite, total_error
 from .arm import ArmModel
 from .draws import SOFT, Draw, idle_inputs, measured_of, scenario_of, soft_tissues
 
@@ -28,68 +25,32 @@ _MOST = 1.0  # e_band: nothing is known of a G that may be wrong by as much as i
 _DRAWS = 6  # of an arm's errors, for the interval of its S; all targets of a method are pooled
 
 
-@dataclass(frozen=True, eq=False)
-class Setup:
-    """Parts that all draws of a prediction share: the scene, its renderers, the ports that these aim by, inputs
-    held."""
+def outcome_of(draw: Draw, scene: Scenario, held: Collection[str], job: RenderJob, arm: ArmModel) -> Outcome:
+    """S of ``draw`` of the ``scene``, whose inputs ``held`` keep its values, by the renderers of ``job``.
 
-    scenario: Scenario
-    job: RenderJob
-    outputs: tuple[Port, ...]
-    inputs: tuple[Port, ...]
-    held: frozenset[str]
-
-    @property
-    def methods(self) -> tuple[str, ...]:
-        """Names of the methods."""
-        return self.job.names
-
-    @property
-    def targets(self) -> tuple[str, ...]:
-        """Names of the targets."""
-        return self.job.targets
-
-
-def setup_of(scenario: Scenario, nominal: TransferMatrix, base: Path, held: Collection[str] = ()) -> Setup:
-    """``nominal`` is G of the scene itself, whose ports are taken."""
-    job = RenderJob.of(scenario, nominal, base=base)
-    return Setup(scenario, job, nominal.outputs, nominal.inputs, frozenset(held))
-
-
-def outcome_of(draw: Draw, setup: Setup, arm: ArmModel) -> Outcome:
-    """S of ``draw``; raises the :class:`ForearmError` of an arm that cannot be, or whose error is too large to say."""
+    Raises the :class:`ForearmError` of an arm that cannot be, or whose error is too large to say.
+    """
     began = time.perf_counter()
-    held = setup.held | arm.held
-    scenario = scenario_of(draw, setup.scenario, held)
+    held = {*held, *arm.held}
+    scenario = scenario_of(draw, scene, held)
     values = {name: value for name, value in draw.values.items() if name not in held}
     seen, at = measured_of(replace(draw, values=values), scenario), frequencies(scenario.sweep)
     answer, met = arm.answers(scenario, seen, at) if seen.grid != scenario.grid else (arm.answer(scenario, at), None)
     true, *others = (
-        with_nominal_ports(finite(close_loop(c, scenario.device)), setup) for c in (answer.compliance, *answer.others)
+        job.on_nominal_ports(finite(close_loop(c, scenario.device))) for c in (answer.compliance, *answer.others)
     )
     if not total_error(true.errors) < _MOST:
         raise ReductionError(f"G of the arm may be wrong by as much as it is: e_band is {_MOST:g} or more, or unknown")
-    under = true if met is None else with_nominal_ports(finite(close_loop(met, seen.device)), setup)
-    found = strengths_of(setup.job, true, reported(under, seen, draw.generator("rig")))
-    job = setup.job
+    under = true if met is None else job.on_nominal_ports(finite(close_loop(met, seen.device)))
+    measured = reported(under, seen, draw.generator("rig"))
+    found = job.strengths(measured, true, measured, windows=(job.window, "record"))
     noise = tuple(e for e in true.errors if e.source not in answer.shown)
     spread = interval(true, noise, job.targets, job.span, job.methods, job.wavelet, draws=_DRAWS, others=others)
     return Outcome(
-        draw.number, draw.law, found, drivers_of(draw, scenario, held), total_error(true.errors),
-        time.perf_counter() - began, spread=spread,
+        draw.number, draw.law, found.reshape(len(READINGS), *found.shape[2:]), drivers_of(draw, scenario, held),
+        total_error(true.errors), time.perf_counter() - began, spread=spread,
         transfer=true.values.astype(np.complex64) if draw.number < KEPT else None,
     )  # fmt: skip
-
-
-def with_nominal_ports(transfer: TransferMatrix, setup: Setup) -> TransferMatrix:
-    """The same G with the ports where the experimenter thinks they are: renderers aim by these places."""
-    return replace(transfer, outputs=setup.outputs, inputs=setup.inputs)
-
-
-def strengths_of(job: RenderJob, true: TransferMatrix, measured: TransferMatrix) -> FloatArray:
-    """S (n_reading, n_method, n_target) of drives designed on the ``measured`` G, on the ``true`` one and there."""
-    found = job.strengths(measured, true, measured, windows=(job.window, "record"))
-    return found.reshape(len(READINGS), *found.shape[2:])
 
 
 def drivers_of(draw: Draw, scenario: Scenario, held: Collection[str]) -> dict[str, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
@@ -22,10 +22,10 @@ from ...fem.kernels.compiled import freed_memory_kept
 from ...geometry.device.layout import planform_ports
 from ...notebook import Manners, place
 from ...progress import Progress, tell, within
+from ...rendering.drives import counted_points
+from ...rendering.funneling import is_thesis_grid
 from ...rendering.interval import Strength
 from ...rendering.job import RenderJob, check_servable, wavelet
-from ...rendering.lattice import is_thesis_grid
-from ...rendering.limits import counted_points
 from ...results.draws import DRAWS_FILE, READINGS, DrawsFile, Outcome
 from ...scenario import Scenario
 from ...scenario.shipped import code_files, contents, named_files
@@ -40,7 +40,7 @@ from ...typing import FloatArray
 from ...usercode import is_code, with_code_beside
 from .arm import ArmModel, LayeredArm, arm_model
 from .draws import FASCIA, LAWS, draw_inputs, each_name, has_fascia, is_bare, load_priors, scenario_of
-from .outcome import Setup, outcome_of, setup_of
+from .outcome import outcome_of
 from .statistics import Draws, draws_of
 
 if TYPE_CHECKING:
@@ -152,16 +152,14 @@ class Prediction(Manners):
         return files
 
 
+Plain = tuple[str, str, int, tuple[str, ...], tuple[str, ...], bool]  # a question that any process can take
+
+
 @dataclass(frozen=True)
 class Job:
-    """One draw of a question; ``setup`` is made once a process."""
+    """One draw of a question, which is prepared once a process."""
 
-    question: str
-    base: str
-    seed: int
-    laws: tuple[str, ...]
-    held: tuple[str, ...]
-    layered: bool
+    question: Plain
     number: int
 
 
@@ -186,11 +184,13 @@ def predict(
     check_question(question)
     check_kind(folder, "prediction")
     out = Path(folder)
-    _, setup, arm = _prepared(*_plain(question), progress)  # an arm that cannot be is said before minutes of solving
+    plain = _plain(question)
+    prepared = _prepared(plain, progress)  # an arm that cannot be is said before minutes of solving
+    _, renderers, arm = prepared
     tell(progress, "the scene itself", 0, 1)
     nominal, errors = _nominal(question, progress)
     shelf, digest = Shelf(out / WORK, "finished draws"), question.digest
-    jobs = {f"draw-{n}-{digest[:32]}": Job(*_plain(question), n) for n in range(draws)}
+    jobs = {f"draw-{n}-{digest[:32]}": Job(plain, n) for n in range(draws)}
     if not resume:
         shelf.drop(*jobs)
     known = set(shelf.known())
@@ -198,23 +198,24 @@ def predict(
     count = workers or min(max(1, draws - reused), light_workers())
     many = spread(count, scheduler, "a prediction on several processes", asked=workers is not None)
     made = done_once(
-        shelf, jobs, work if many else lambda job: drawn(question, setup, arm, job.number).as_parts(),
+        shelf, jobs, work if many else lambda job: drawn(*prepared, job.number).as_parts(),
         run=many, tell=lambda done, total: tell(progress, "draws", done, total),
     )  # fmt: skip
     kept = dict[int, Outcome]()
     for key, parts in made:
         if not kept:  # a prediction that ends before its first draw leaves nothing
             set_kind(out, "prediction")
-        kept[jobs[key].number] = _outcome(jobs[key].number, parts, setup)
+        kept[jobs[key].number] = _outcome(jobs[key].number, parts, renderers)
     frequency, unit = frequencies(question.scenario.sweep), UNITS[question.scenario.device.drive]
-    save(out / DRAWS_FILE, DrawsFile.of(list(kept.values()), setup.methods, setup.targets, digest, frequency, unit))
-    grid = is_thesis_grid(setup.outputs)
+    of = renderers.names, renderers.targets
+    save(out / DRAWS_FILE, DrawsFile.of(list(kept.values()), *of, digest, frequency, unit))
+    grid = is_thesis_grid(renderers.ports[0])
     points, motors = planform_ports(question.scenario)
     touching = [p for p in motors if p.name not in question.scenario.device.out_of_contact]
     least = question.scenario.rendering.clearance
     clear = dict(zip((p.name for p in points), counted_points(points, touching, least), strict=True))
-    counted = tuple(t for t in setup.targets if clear[t])
-    found = draws_of([kept[n] for n in range(draws)], setup.methods, setup.targets, grid, counted)
+    counted = tuple(t for t in renderers.targets if clear[t])
+    found = draws_of([kept[n] for n in range(draws)], *of, grid, counted)
     held = tuple(sorted({*question.held, *arm.held}))
     return Prediction(
         question, nominal, found, arm.name, arm.left_out, held, reused, time.monotonic() - began, _unknown(arm, errors),
@@ -286,56 +287,56 @@ def _unknown(arm: ArmModel, errors: tuple[ErrorEstimate, ...]) -> str:
     return "; ".join(s for s in (arm.unknown, f"what cutting the limb errs by for each arm is unknown ({own})") if s)
 
 
-def drawn(question: Question, setup: Setup, arm: ArmModel, number: int) -> Outcome:
-    """Draw ``number``; an arm that cannot be is data, not an error."""
-    bare = is_bare(question.scenario, setup.held)
+def drawn(question: Question, renderers: RenderJob, arm: ArmModel, number: int) -> Outcome:
+    """Draw ``number`` of a question prepared; an arm that cannot be is data, not an error."""
+    bare = is_bare(question.scenario, question.held)
     draw = draw_inputs(load_priors(), question.scenario, question.seed, number, question.laws, bare=bare)
     try:
         with freed_memory_kept():
-            return outcome_of(draw, setup, arm)
+            return outcome_of(draw, question.scenario, question.held, renderers, arm)
     except ForearmError as problem:
-        return Outcome.none(number, draw.law, setup.methods, setup.targets, str(problem))
+        return Outcome.none(number, draw.law, renderers.names, renderers.targets, str(problem))
 
 
 def work(job: Job) -> dict[str, Any]:
     """The draw of ``job`` as plain data; nothing it raises leaves the worker."""
     try:
-        question, setup, arm = _prepared(job.question, job.base, job.seed, job.laws, job.held, job.layered)
-        return drawn(question, setup, arm, job.number).as_parts()
+        return drawn(*_prepared(job.question), job.number).as_parts()
     except Exception as problem:
         return {LOST: f"{type(problem).__name__}: {problem} (a fault of the program, please report it)"}
 
 
-def _outcome(number: int, parts: Mapping[str, Any], setup: Setup) -> Outcome:
+def _outcome(number: int, parts: Mapping[str, Any], renderers: RenderJob) -> Outcome:
     """Outcome from the parts of :meth:`.Outcome.as_parts`, or the reason that there is none."""
     if "strengths" not in parts:
-        return Outcome.none(number, "", setup.methods, setup.targets, str(parts[LOST]))
+        return Outcome.none(number, "", renderers.names, renderers.targets, str(parts[LOST]))
     return Outcome(**{**parts, "number": number, "drivers": MappingProxyType(parts["drivers"])})
 
 
-def _plain(question: Question) -> tuple[str, str, int, tuple[str, ...], tuple[str, ...], bool]:
+def _plain(question: Question) -> Plain:
     text = question.scenario.model_dump_json()
     return text, str(question.base.resolve()), question.seed, question.laws, question.held, question.layered
 
 
 @lru_cache(maxsize=2)
-def _prepared(
-    text: str, base: str, seed: int, laws: tuple[str, ...], held: tuple[str, ...], layered: bool,
-    progress: Progress | None = None,
-) -> tuple[Question, Setup, ArmModel]:  # fmt: skip
-    """Parts that all draws of a process share. G of the scene serves for its ports alone, so one bin will do.
+def _prepared(plain: Plain, progress: Progress | None = None) -> tuple[Question, RenderJob, ArmModel]:
+    """Parts that all draws of a process share: the question with every input that is held by name, and renderers.
+
+    G of the scene serves for its ports alone, so one bin will do.
 
     A model of finite elements is made once and kept in the cache, where other processes find it.
     """
-    question = Question(Scenario.model_validate_json(text), Path(base), seed, laws, held, layered)
-    on_layers = question.scenario.engine == "layered" or layered
+    text, base, *rest = plain
+    question = Question(Scenario.model_validate_json(text), Path(base), *rest)
+    on_layers = question.scenario.engine == "layered" or question.layered
     arm = arm_model(
-        question.scenario, base=base, draws=() if on_layers else pool(question), layered=layered, progress=progress
+        question.scenario, base=base, draws=() if on_layers else pool(question), layered=question.layered,
+        progress=progress
     )
     compliance = arm.compliance(question.scenario, frequencies(question.scenario.sweep)[:1])
     transfer = close_loop(compliance, question.scenario.device)
-    held_by_both = expanded(question.held, question.scenario) | expanded(arm.held, question.scenario)
-    return question, setup_of(question.scenario, transfer, question.base, held_by_both), arm
+    held = expanded((*question.held, *arm.held), question.scenario)
+    return replace(question, held=tuple(sorted(held))), RenderJob.of(question.scenario, transfer, base=base), arm
 
 
 def pool(question: Question) -> list[Scenario]:
