@@ -16,13 +16,14 @@ from ..fem.reduction.sweep import direct_sweep
 from ..geometry.build import build_mesh
 from ..geometry.device.place import place_ports
 from ..geometry.mesh.tissue_mesh import TissueMesh
+from ..laws import KelvinVoigt
 from ..layered import Base, Disc, Layer, layered_compliance
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
 from ..scenario.elements import FreeUnderside
 from ..scenario.sweep import DirectSolve
 from ..scenario.tissues import Membrane
-from ..tissue import KelvinVoigt, Tissue, resolve_tissues
+from ..tissue import Tissue, resolve_tissues
 from ..typing import ComplexArray, FloatArray
 from .blocks import block_mesh
 

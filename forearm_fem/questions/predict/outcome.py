@@ -10,13 +10,14 @@ import numpy as np
 
 from ...device import close_loop
 from ...errors import ReductionError
+from ...laws import REFERENCE
 from ...measurement.chain import reported
 from ...rendering.interval import interval
 from ...rendering.job import RenderJob
 from ...results.draws import KEPT, READINGS, Outcome
 from ...scenario import Scenario
 from ...scenario.sweep import frequencies
-from ...tissue import REFERENCE, resolve_tissues
+from ...tissue import resolve_tissues
 from ...transfer import finite, total_error
 from .arm import ArmModel
 from .draws import SOFT, Draw, idle_inputs, measured_of, scenario_of, soft_tissues

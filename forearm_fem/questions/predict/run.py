@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ... import __version__
+from ... import __version__, laws
 from ...device import close_loop
 from ...engines.notes import check_samples
 from ...engines.simulation import simulate
@@ -234,11 +234,11 @@ def check_question(question: Question) -> None:
             f"--hold: no input or group is called '{bad[0]}'; groups are {', '.join(sorted(groups))}, single inputs "
             "stand in questions/predict/priors.toml"
         )
-    if bad := sorted(x for x in set(question.laws) - set(LAWS) if not is_code(x)):
+    if bad := sorted(x for x in set(question.laws) - set(laws.LAWS) if not is_code(x)):
         raise ScenarioError(
             f"--law: no law is called '{bad[0]}'; known are {', '.join(LAWS)}, or your own as module:Name"
         )
-    for law in filter(is_code, question.laws):
+    for law in question.laws:
         priors.tissue_inputs(law)
     if not question.laws:
         raise ScenarioError(f"--law: expected at least one of {', '.join(LAWS)}")
