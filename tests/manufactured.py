@@ -23,7 +23,7 @@ from forearm_fem.scenario.elements import FreeUnderside
 from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.tissue import Tissue
 from forearm_fem.typing import ComplexArray, FloatArray, IntArray
-from forearm_fem.verification.blocks import block_mesh
+from forearm_fem.verification.scenes import block_mesh
 
 SIDE = 0.02
 OMEGA = 2 * np.pi * 120.0

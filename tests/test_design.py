@@ -25,8 +25,7 @@ from forearm_fem.questions.design import Candidate, TabulatedArm, evaluate, load
 from forearm_fem.questions.design import candidate as candidates
 from forearm_fem.questions.design.candidate import score_of
 from forearm_fem.questions.design.model import Objective
-from forearm_fem.questions.design.run import question
-from forearm_fem.questions.design.search import planned, search
+from forearm_fem.questions.design.run import planned, question, search
 from forearm_fem.rendering import ricker
 from forearm_fem.scenario import Scenario
 from forearm_fem.scenario.sweep import frequencies

@@ -20,10 +20,10 @@ from forearm_fem.ports import Port
 from forearm_fem.scenario.elements import FixedUnderside, FoamUnderside, FreeUnderside
 from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.tissue import Tissue
-from forearm_fem.verification.blocks import block_mesh
 from forearm_fem.verification.closed import punch_stiffness, shear_bar_errors, sphere_errors
 from forearm_fem.verification.scenes import (
     DIRECT,
+    block_mesh,
     flesh,
     held_block,
     layered_truth,

@@ -25,10 +25,10 @@ from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.tissue import Tissue
 from forearm_fem.transfer import relative_error
 from forearm_fem.typing import ComplexArray, FloatArray
-from forearm_fem.verification.blocks import block_mesh
 from forearm_fem.verification.scenes import (
     DIRECT,
     RADIUS,
+    block_mesh,
     flesh,
     held_block,
     layered_truth,

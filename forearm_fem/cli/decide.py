@@ -218,11 +218,11 @@ def verify(
     out: Annotated[Path, typer.Option("--out", help="folder that the page is written to")] = Path("results/verify"),
 ) -> None:
     """Check this installation against exact solutions; exit code 1 where a number misses its tolerance."""
-    from ..verification import report, run_verification
+    from ..verification.run import run_verification, verification_page
 
     with job(out) as display:
         rows = run_verification(display)
-        page = report.verification_page(rows)
+        page = verification_page(rows)
         written, _ = page.save(out, "verification")
     for line in (page.title, *page.answer, f"open {written}"):
         typer.echo(line)

@@ -37,6 +37,7 @@ from ..rendering.funneling import is_thesis_grid
 from ..rendering.interval import Strength, finer_than_known
 from ..rendering.job import RenderJob, check_servable, wavelet
 from ..results.files import (
+    Wavefield,
     read_transfer,
     refuse_other_g,
     stack,
@@ -59,7 +60,6 @@ from ..results.run import (
     read_run,
     write_run,
 )
-from ..results.wavefield import Wavefield
 from ..scenario import Scenario
 from ..scenario.rendering import SampledWavelet
 from ..scenario.sweep import Band

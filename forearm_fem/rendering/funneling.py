@@ -105,8 +105,6 @@ def _lines(coordinate: FloatArray, slack: float) -> tuple[FloatArray, IntArray]:
     return means, line
 
 
-# Funneling: all actuators play the wavelet, the nearer ones louder.
-
 # Actuators that form no rectangle: the line they lie on, or the triangles of nearest ones.
 
 _ROUNDING = 1e-9

@@ -207,8 +207,6 @@ def _unasked(names: tuple[str, ...]) -> Aim:
     raise AssertionError(f"a rule of places aimed with {names}")
 
 
-# Inverse filter, its combination with funneling, and precomputation that aims share.
-
 # Inverse filter: move the target as asked and hold the zero points still.
 
 LEAST_ERROR = 0.02  # e(f): no G of an arm is known better, and what S gains from less is its own error

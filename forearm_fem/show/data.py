@@ -20,6 +20,7 @@ from ..rendering.drives import counted_points
 from ..results.files import (
     Signals,
     StrengthRow,
+    Wavefield,
     read_compliance,
     read_displacements,
     read_drives,
@@ -27,7 +28,6 @@ from ..results.files import (
     read_transfer,
 )
 from ..results.run import RunRecord, read_run
-from ..results.wavefield import Wavefield
 from ..scenario import Scenario, parse_scenario
 from ..scenario.rendering import SampledWavelet
 from ..store.record import load
