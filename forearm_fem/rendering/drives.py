@@ -18,6 +18,7 @@ from ..typing import BoolArray, ComplexArray, FloatArray
 from .inversion import Inversion
 from .signals import BinnedTransfer, Record, Wavelet, on_record_bins, respond, to_time
 
+
 @dataclass(frozen=True, eq=False)
 class Aim:
     """A renderer's answer: ``spectrum`` (n_bins, n_in) [unit/Hz], the bins it ``used`` (n_bins,) and how."""
