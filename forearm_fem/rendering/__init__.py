@@ -8,7 +8,7 @@
     everything = render_all(transfer)
 """
 
-from .bridging import Bridged, Interpolation, bridged
+from .bridging import Bridged, bridged
 from .drives import (
     Aim,
     Displacements,
@@ -53,7 +53,6 @@ __all__ = [
     "Drives",
     "FixedZeros",
     "Funneling",
-    "Interpolation",
     "InverseFilter",
     "Inversion",
     "Limits",

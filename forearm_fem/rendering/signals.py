@@ -19,7 +19,7 @@ from ..metrics.strength import seconds_of
 from ..ports import Port
 from ..transfer import TransferMatrix, relative_error_at
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
-from .bridging import Interpolation, filled_in
+from .bridging import filled_in
 from .inversion import Control
 
 # From a transfer matrix on its own frequencies to the bins of a periodic record, and back to time.
@@ -120,12 +120,11 @@ def place_on_bins(
     duration: float,
     *,
     valid: BoolArray | None = None,
-    interpolation: Interpolation | None = None,
 ) -> BinValues:
     """Set ``values`` (n_frequency, ...) known at ``frequency`` [Hz] on the bins of a record.
 
     Samples on a bin (to 1e-3 of the bin spacing) are copied. Between samples, bins are filled by a cubic spline of real
-    and imaginary part where ``interpolation`` allows; never across a gap, an invalid sample, or outside the band. Bins
+    and imaginary part where that is safe; never across a gap, an invalid sample, or outside the band. Bins
     at 0 Hz and from Nyquist up are left out. Raises DataError for frequencies that do not increase, for NaN in a valid
     entry, for samples too far apart to interpolate, and if no bin is left.
     """
@@ -138,7 +137,7 @@ def place_on_bins(
     index = np.arange(max(1, int(np.ceil(place[0] - 1e-3))), min((record.n - 1) // 2, int(place[-1] + 1e-3)) + 1)
     out, on = np.zeros((0, flat.shape[1]), dtype=complex), np.zeros((0, flat.shape[1]), dtype=bool)
     if len(index):
-        out, on = filled_in(place, np.where(known, flat, 0), known, index, record.df, interpolation or Interpolation())
+        out, on = filled_in(place, np.where(known, flat, 0), known, index, record.df)
     kept = on.any(axis=1)
     if not known.any():
         raise DataError(
@@ -197,9 +196,7 @@ class BinnedTransfer:
         return names.index(name)
 
 
-def on_record_bins(
-    transfer: TransferMatrix, record: Record, interpolation: Interpolation | None = None
-) -> BinnedTransfer:
+def on_record_bins(transfer: TransferMatrix, record: Record) -> BinnedTransfer:
     """``transfer`` on the bins of ``record``; raises as :func:`place_on_bins` and DataError for a wrong shape."""
     expected = (len(transfer.frequency), len(transfer.outputs), len(transfer.inputs))
     if transfer.values.shape != expected:
@@ -211,7 +208,6 @@ def on_record_bins(
         record.sample_rate,
         duration,
         valid=transfer.valid,
-        interpolation=interpolation,
     )
     parts = [relative_error_at(e, bins.frequency) for e in transfer.errors if e.source == "measurement"]
     error = np.linalg.norm(parts, axis=0) if parts else np.full(len(bins.index), np.nan)
