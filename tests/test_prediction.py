@@ -31,8 +31,7 @@ from forearm_fem.questions.predict.draws import (
     moved_points,
     scenario_of,
 )
-from forearm_fem.questions.predict.outcome import drivers_of, outcome_of
-from forearm_fem.questions.predict.run import Prediction, Question, check_question, predict
+from forearm_fem.questions.predict.run import Prediction, Question, check_question, drivers_of, outcome_of, predict
 from forearm_fem.questions.predict.summary import shorter_waves, summary
 from forearm_fem.rendering import displacements, drives, strengths
 from forearm_fem.results.draws import DRAWS_FILE, KEPT, READINGS, DrawsFile, Outcome

@@ -15,10 +15,9 @@ from .. import __version__
 from ..accuracy.estimates import accuracy_verdict
 from ..device import contact_state
 from ..device.response import carries_points
-from ..engines.engine import Engine
 from ..engines.forecast import Ledger, refuse_if_signals_too_large
 from ..engines.notes import check_samples, scene_notes
-from ..engines.simulation import Simulation, simulate, versions
+from ..engines.simulation import Engine, Simulation, simulate, versions
 from ..engines.skin_model import save_skin_model
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..fem.reduction.compile_ahead import start_compiling

@@ -15,8 +15,8 @@ import numpy as np
 
 from ...accuracy.estimates import quadrature_estimate
 from ...device import close_loop
-from ...engines.engine import Engine
 from ...engines.layered import LayeredEngine, flat_disc, flat_ports, kept_tables, tables_reach
+from ...engines.simulation import Engine
 from ...errors import AccuracyWarning, ForearmError, ScenarioError
 from ...layered.tables import Tabulated
 from ...metrics.strength import WITHOUT_BOUND

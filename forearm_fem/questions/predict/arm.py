@@ -13,9 +13,9 @@ import numpy as np
 
 from ...accuracy.estimates import quadrature_estimate
 from ...engines.arm_meshes import ArmMeshes, arm_meshes
-from ...engines.engine import Engine
 from ...engines.layered import LayeredEngine, flat_disc, flat_layers, flat_ports, flat_surface
 from ...engines.parametric import ParametricModel, parametric_model, reciprocal
+from ...engines.simulation import Engine
 from ...errors import ForearmError, ScenarioError
 from ...fem.reduction.poles import chebyshev_frequencies
 from ...layered import layered_compliance

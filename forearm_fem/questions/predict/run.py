@@ -1,4 +1,4 @@
-"""Many draws of a scene's arms, resumable, on this machine or a Dask scheduler."""
+"""Prediction of S for people: a question, its draws on this machine or a Dask scheduler, resumable, and the answer."""
 
 from __future__ import annotations
 
@@ -17,16 +17,18 @@ from ... import __version__, laws
 from ...device import close_loop
 from ...engines.notes import check_samples
 from ...engines.simulation import simulate
-from ...errors import AccuracyWarning, ForearmError, ScenarioError
+from ...errors import AccuracyWarning, ForearmError, ReductionError, ScenarioError
 from ...fem.kernels.compiled import freed_memory_kept
 from ...geometry.device.layout import planform_ports
+from ...laws import REFERENCE
+from ...measurement.chain import reported
 from ...notebook import Manners, place
 from ...progress import Progress, tell, within
 from ...rendering.drives import counted_points
 from ...rendering.funneling import is_thesis_grid
-from ...rendering.interval import Strength
+from ...rendering.interval import Strength, interval
 from ...rendering.job import RenderJob, check_servable, wavelet
-from ...results.draws import DRAWS_FILE, READINGS, DrawsFile, Outcome
+from ...results.draws import DRAWS_FILE, KEPT, READINGS, DrawsFile, Outcome
 from ...scenario import Scenario
 from ...scenario.shipped import code_files, contents, named_files
 from ...scenario.sweep import frequencies
@@ -35,17 +37,86 @@ from ...store.record import save
 from ...store.shelf import WORK, Shelf
 from ...store.text import digest_of
 from ...store.work import LOST, done_once, light_workers, spread
-from ...transfer import UNITS, ErrorEstimate
+from ...tissue import resolve_tissues
+from ...transfer import UNITS, ErrorEstimate, finite, total_error
 from ...typing import FloatArray
 from ...usercode import is_code, with_code_beside
 from .arm import ArmModel, LayeredArm, arm_model
-from .draws import FASCIA, LAWS, draw_inputs, each_name, has_fascia, is_bare, load_priors, scenario_of
-from .outcome import outcome_of
+from .draws import (
+    FASCIA,
+    LAWS,
+    SOFT,
+    Draw,
+    draw_inputs,
+    each_name,
+    has_fascia,
+    idle_inputs,
+    is_bare,
+    load_priors,
+    measured_of,
+    scenario_of,
+    soft_tissues,
+)
 from .statistics import Draws, draws_of
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import FigureBase
+
+
+_MOST = 1.0  # e_band: nothing is known of a G that may be wrong by as much as it is
+_DRAWS = 6  # of an arm's errors, for the interval of its S; all targets of a method are pooled
+
+
+def outcome_of(draw: Draw, scene: Scenario, held: Collection[str], job: RenderJob, arm: ArmModel) -> Outcome:
+    """S of ``draw`` of the ``scene``, whose inputs ``held`` keep its values, by the renderers of ``job``.
+
+    Raises the :class:`ForearmError` of an arm that cannot be, or whose error is too large to say.
+    """
+    began = time.perf_counter()
+    held = {*held, *arm.held}
+    scenario = scenario_of(draw, scene, held)
+    values = {name: value for name, value in draw.values.items() if name not in held}
+    seen, at = measured_of(replace(draw, values=values), scenario), frequencies(scenario.sweep)
+    answer, met = arm.answers(scenario, seen, at) if seen.grid != scenario.grid else (arm.answer(scenario, at), None)
+    true, *others = (
+        job.on_nominal_ports(finite(close_loop(c, scenario.device))) for c in (answer.compliance, *answer.others)
+    )
+    if not total_error(true.errors) < _MOST:
+        raise ReductionError(f"G of the arm may be wrong by as much as it is: e_band is {_MOST:g} or more, or unknown")
+    under = true if met is None else job.on_nominal_ports(finite(close_loop(met, seen.device)))
+    measured = reported(under, seen, draw.generator("rig"))
+    found = job.strengths(measured, true, measured, windows=(job.window, "record"))
+    noise = tuple(e for e in true.errors if e.source not in answer.shown)
+    spread = interval(true, noise, job.targets, job.span, job.methods, job.wavelet, draws=_DRAWS, others=others)
+    return Outcome(
+        draw.number, draw.law, found.reshape(len(READINGS), *found.shape[2:]), drivers_of(draw, scenario, held),
+        total_error(true.errors), time.perf_counter() - began, spread=spread,
+        transfer=true.values.astype(np.complex64) if draw.number < KEPT else None,
+    )  # fmt: skip
+
+
+def drivers_of(draw: Draw, scenario: Scenario, held: Collection[str]) -> dict[str, float]:
+    """Candidate drivers of S: inputs, and of each drawn tissue its size |mu*| [Pa] and loss tangent at 150 Hz.
+
+    Nothing of a tissue or layer that the limb has not, or of a part that the drive leaves out: chance would make
+    it a driver.
+    """
+    tissue_input = {f"{t}." for t in SOFT}
+    own, layers = soft_tissues(scenario), {layer.tissue for layer in getattr(scenario.limb, "layers", ())}
+    absent = {f"{t} thickness" for t in SOFT if t not in layers} | idle_inputs(scenario)
+    found = {
+        name: value
+        for name, value in draw.values.items()
+        if name not in held and name not in absent and not any(name.startswith(t) for t in tissue_input)
+    }
+    if "tissue" not in held:
+        for name, tissue in resolve_tissues(scenario).items():
+            if name in own:
+                modulus = complex(tissue.modulus.at(2 * np.pi * REFERENCE))
+                found |= {f"{name} stiffness": abs(modulus), f"{name} loss": modulus.imag / modulus.real}
+    return found
+
 
 DRAWS = 200
 POOL = 200  # draws that a model of finite elements is made from: the first ones, however many are asked for
