@@ -133,7 +133,7 @@ _NEIGHBOURS, _ORDER = 12, 3  # of the local polynomial, which noise does not mis
 
 @dataclass(frozen=True, eq=False)
 class Bridged:
-    """``transfer`` with its safe holes filled, and ``guess`` with the others filled as well, None if there are none.
+    """G with its safe holes filled (``transfer``), and with all of them (``guess``, None if none is left).
 
     ``error`` is e(f) of what was filled (None without any); ``filled`` and ``left`` count (bin, entry) pairs; ``bins``
     are those with any hole. ``ends`` counts the pairs before the first or after the last known bin of their entry, and

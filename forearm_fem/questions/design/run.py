@@ -117,8 +117,8 @@ def search(design: Design, ask: Ask) -> None:
     )  # fmt: skip
 
 
-def planned(design: Design) -> int:
-    """Candidates that the search asks for at most."""
+def most_candidates(design: Design) -> int:
+    """Number of candidates that the search asks for at most."""
     options, (low, high, whole) = design.asked.search, design.bounds
     levels = _levels(low, high, whole)
     return int(levels) if levels <= options.candidates else options.candidates + options.local
@@ -216,7 +216,7 @@ def run_design(
     out = Path(folder).resolve()
     model = arm or TabulatedArm(progress=progress)
     set_kind(out, "design")
-    shelf, asked, total = Shelf(out / WORK, "candidates"), question(design, model.mark), planned(design)
+    shelf, asked, total = Shelf(out / WORK, "candidates"), question(design, model.mark), most_candidates(design)
     mine = [key for key in shelf.known() if key.startswith(asked)]
     known = {key: Candidate.from_json(parts) for key in mine if (parts := shelf.get(key)) is not None}
     with _evaluating(design, model, scheduler, workers, own=arm is None) as run:
