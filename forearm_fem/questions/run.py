@@ -303,7 +303,7 @@ def _rendered(
         job = RenderJob.of(run.scenario, transfer, base=run.base, progress=run.progress)
         job.warn()
         rendering = job.play(transfer, progress=run.progress)
-        account = job.account(transfer, rendering)
+        account = rendering.strength
         keep(run, transfer)
         run.rendering, run.account = rendering, account
         time = next(iter(rendering.values())).drives.time

@@ -26,7 +26,6 @@ from ..usercode import is_code, named
 from .bridging import bridged
 from .drives import Limits, Renderer, limits_of
 from .funneling import Funneling, funneling_weights, lattice_of
-from .interval import Strength, strength_of
 from .inverse_filter import LEAST_ERROR, AutoZeros, Combination, InverseFilter, SearchedZeros, ThesisZeros
 from .inversion import Regularisation
 from .rendered import Rendering, played_strengths, render_all
@@ -108,11 +107,6 @@ class RenderJob:
             design_on, self.targets, self.methods, self.wavelet, self.limits, window=self.window, play_on=play_on,
             progress=progress,
         )  # fmt: skip
-
-    def account(self, transfer: TransferMatrix, rendering: Rendering) -> Strength:
-        """S of ``rendering``, which :meth:`play` made of ``transfer``, with its interval."""
-        measured = any(e.source == "measurement" for e in transfer.errors) or transfer.deviation is not None
-        return strength_of(rendering, self.methods, self.wavelet, measured)
 
     def strengths(
         self, design_on: TransferMatrix, *play_on: TransferMatrix, windows: Sequence[Window] = ()

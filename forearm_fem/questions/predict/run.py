@@ -342,8 +342,7 @@ def _nominal(question: Question, progress: Progress | None) -> tuple[Strength, t
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AccuracyWarning)  # `run` says them
         transfer = simulate(scenario, base=base, progress=within(progress, "the scene itself")).transfer
-        job = RenderJob.of(scenario, transfer, base=base)
-        account = job.account(transfer, job.play(transfer))
+        account = RenderJob.of(scenario, transfer, base=base).play(transfer).strength
     tell(progress, "the scene itself", 1, 1)
     return account, transfer.errors
 
