@@ -30,8 +30,8 @@ from forearm_fem.geometry.mesh.quality import mesh_quality
 from forearm_fem.geometry.user.meshes import user_mesh
 from forearm_fem.geometry.user.surfaces import read_surfaces
 from forearm_fem.geometry.user.triangles import read_triangles
-from forearm_fem.main_guard import _guarded
 from forearm_fem.measurement.calibrate import record
+from forearm_fem.processes import _guarded
 from forearm_fem.rendering.bridging import filled_in
 from forearm_fem.scenario import load_scenario, parse_scenario
 
