@@ -254,7 +254,8 @@ def strengths(
     Holes are not bridged. Raises as :func:`render_all`.
     """
     names, renderers = _as_targets(targets, transfer), _as_renderers(methods)
-    return played_strengths(transfer, (transfer,), names, renderers, wavelet, (window_of(window, wavelet),))[0, 0]
+    found = played_strengths(transfer, (transfer,), names, renderers, wavelet, (window_of(window, wavelet),))
+    return np.asarray(found[0, 0])
 
 
 def played_strengths(

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ... import __version__, laws
+from ... import __version__
 from ...device import close_loop
 from ...engines.notes import check_samples
 from ...engines.simulation import simulate
 from ...errors import AccuracyWarning, ForearmError, ReductionError, ScenarioError
 from ...fem.kernels.compiled import freed_memory_kept
 from ...geometry.device.layout import planform_ports
+from ...laws import LAWS as BUILT_IN
 from ...laws import REFERENCE
 from ...measurement.chain import reported
 from ...notebook import Manners, place
@@ -305,7 +306,7 @@ def check_question(question: Question) -> None:
             f"--hold: no input or group is called '{bad[0]}'; groups are {', '.join(sorted(groups))}, single inputs "
             "stand in questions/predict/priors.toml"
         )
-    if bad := sorted(x for x in set(question.laws) - set(laws.LAWS) if not is_code(x)):
+    if bad := sorted(x for x in set(question.laws) - set(BUILT_IN) if not is_code(x)):
         raise ScenarioError(
             f"--law: no law is called '{bad[0]}'; known are {', '.join(LAWS)}, or your own as module:Name"
         )
@@ -396,12 +397,12 @@ def _prepared(plain: Plain, progress: Progress | None = None) -> tuple[Question,
 
     A model of finite elements is made once and kept in the cache, where other processes find it.
     """
-    text, base, *rest = plain
-    question = Question(Scenario.model_validate_json(text), Path(base), *rest)
+    text, base, seed, laws, held, layered = plain
+    question = Question(Scenario.model_validate_json(text), Path(base), seed, laws, held, layered)
     on_layers = question.scenario.engine == "layered" or question.layered
     arm = arm_model(
         question.scenario, base=base, draws=() if on_layers else pool(question), layered=question.layered,
-        progress=progress
+        progress=progress,
     )
     compliance = arm.compliance(question.scenario, frequencies(question.scenario.sweep)[:1])
     transfer = close_loop(compliance, question.scenario.device)
