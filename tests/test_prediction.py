@@ -182,10 +182,10 @@ def test_an_outcome_by_hand() -> None:
     assert found[READINGS.index("reported")] == pytest.approx(by_hand, rel=1e-9)
     for m, method in enumerate(job.methods):
         for t, target in enumerate(job.targets):
-            moved = displacements(true, drives(method, measured, target, job.wavelet))
-            played = signal_strength(moved.values, moved.target_index, time=moved.time, window=job.span)
+            motion = displacements(true, drives(method, measured, target, job.wavelet))
+            played = signal_strength(motion.values, motion.target_index, time=motion.time, window=job.span)
             assert found[READINGS.index("played"), m, t] == pytest.approx(played, rel=1e-9)
-            record = signal_strength(moved.values, moved.target_index)
+            record = signal_strength(motion.values, motion.target_index)
             assert found[READINGS.index("played, record"), m, t] == pytest.approx(record, rel=1e-9)
 
 

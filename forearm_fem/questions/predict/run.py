@@ -406,8 +406,8 @@ def _prepared(plain: Plain, progress: Progress | None = None) -> tuple[Question,
     )
     compliance = arm.compliance(question.scenario, frequencies(question.scenario.sweep)[:1])
     transfer = close_loop(compliance, question.scenario.device)
-    held = expanded((*question.held, *arm.held), question.scenario)
-    return replace(question, held=tuple(sorted(held))), RenderJob.of(question.scenario, transfer, base=base), arm
+    every = expanded((*question.held, *arm.held), question.scenario)
+    return replace(question, held=tuple(sorted(every))), RenderJob.of(question.scenario, transfer, base=base), arm
 
 
 def pool(question: Question) -> list[Scenario]:
