@@ -14,7 +14,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import binom
 
 from .errors import ScenarioError
 from .typing import ComplexArray
@@ -125,6 +124,8 @@ class SpringPot(Law):
         """Coefficients (n + 1,): mu*(omega0) binom(a, k) / omega0^k; converges for |d| < |omega0|."""
         if omega0 == 0:
             raise ValueError("a springpot has no Taylor series at 0 rad/s; expand about a positive frequency")
+        from scipy.special import binom  # here: help on commands knows the laws' names, and loads nothing heavy
+
         k = np.arange(n + 1)
         return np.asarray(self.at(omega0) * binom(self.exponent, k) / float(omega0) ** k)
 

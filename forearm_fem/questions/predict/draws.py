@@ -18,6 +18,7 @@ from scipy.special import expit, logit, ndtr
 
 from ...errors import ScenarioError
 from ...geometry.device.layout import turned
+from ...laws import LAWS as BUILT_IN
 from ...laws import law
 from ...scenario import Scenario, parse_scenario
 from ...scenario.device import VoltageDevice
@@ -199,7 +200,7 @@ def draw_inputs(
         return float(np.random.default_rng([seed, number, zlib.crc32(name.encode())]).standard_normal())
 
     known = priors.inputs["law"].choices
-    chosen = [*(x for x in known if x in laws), *sorted(x for x in laws if x not in known)]
+    chosen = [*(x for x in known if x in laws), *sorted(x for x in laws if x not in known and (is_code(x) or x in BUILT_IN))]
     if not chosen:
         raise ScenarioError(f"laws: expected some of {', '.join(LAWS)}, got {', '.join(sorted(laws)) or 'none'}")
     own = chosen[int(Prior("law", "choice", "", "judgement", choices=tuple(chosen)).value(normal("law")))]
