@@ -25,6 +25,7 @@ from ...scenario.device import VoltageDevice
 from ...scenario.limb import limb_tissues
 from ...tissue import resolve_tissues
 from ...typing import FloatArray
+from ...usercode import is_code
 
 # Uncertain inputs of an arm, a device and a measurement, with their laws and sources.
 
@@ -200,7 +201,8 @@ def draw_inputs(
         return float(np.random.default_rng([seed, number, zlib.crc32(name.encode())]).standard_normal())
 
     known = priors.inputs["law"].choices
-    chosen = [*(x for x in known if x in laws), *sorted(x for x in laws if x not in known and (is_code(x) or x in BUILT_IN))]
+    others = sorted(x for x in set(laws) - set(known) if is_code(x) or x in BUILT_IN)
+    chosen = [*(x for x in known if x in laws), *others]
     if not chosen:
         raise ScenarioError(f"laws: expected some of {', '.join(LAWS)}, got {', '.join(sorted(laws)) or 'none'}")
     own = chosen[int(Prior("law", "choice", "", "judgement", choices=tuple(chosen)).value(normal("law")))]
