@@ -16,6 +16,7 @@ from .jit import kernel
 # Columns may be in single or double precision; sums and the few others are in double precision.
 
 lanes: Any = _lanes  # intrinsics, which type checkers do not follow
+PAIR = 16  # doubles in two vectors
 _ROWS = 64  # at a time: with as many columns of a block they stay in the nearest cache
 _VECTOR = 64  # bytes
 
