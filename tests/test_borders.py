@@ -281,6 +281,8 @@ def test_a_dead_channel_is_said_when_two_matrices_are_compared(dead: Any, says: 
         (lambda: Scenario(accuracy=7), "Scenario: accuracy: expected 1e-05 to 0.5, got 7"),
         (lambda: Scenario(device={"spacng": 0.04}), "Scenario: device.spacng: unknown key; did you mean "
                                                     "device.spacing?"),
+        (lambda: Scenario(tissues={"muscle": {"mu": 9e3}}), "Scenario: tissues.muscle: unknown key; did you mean "
+                                                            "tissues.override.muscle?"),
         (lambda: Scenario(limb={"length": "l"}), "Scenario: limb.length: input should be a valid number, got 'l'"),
         (lambda: Scenario(limb={"shape": "mesh", "depth": 0.02, "file": "a.vtu", "regions": {"1": "fat"}}),
          "Scenario: limb.depth: has no meaning where limb.shape is 'mesh'; leave it out"),
