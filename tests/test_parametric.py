@@ -647,7 +647,7 @@ def test_a_grid_too_far_away_is_the_layered_models(model):
     with pytest.raises(ScenarioError, match=r"^grid"):
         model.compliance(far, PROBES)
     stated = {e.source: e for e in ReducedArm(scene, model, LayeredArm()).compliance(far, PROBES).errors}
-    assert "and the grid's place change" in stated["interpolation"].method
+    assert "grid's place changes" in stated["interpolation"].method
 
 
 def test_places_around_a_point_give_polynomials_between():

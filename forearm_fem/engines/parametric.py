@@ -61,27 +61,33 @@ class Ranges:
     """Ranges of arms around a scenario: uniform in the logarithm, tension uniform.
 
     ``moduli`` multiplies or divides mu and eta of each soft tissue (a springpot's size at 100 Hz); ``tension`` [N/m];
-    ``laws`` in turn, whose classes say what is near to the scenario's.
+    ``laws`` in turn, whose classes say what is near to the scenario's; ``thickness`` multiplies or divides that of each
+    layer.
     """
 
     moduli: float = 2.0
     tension: tuple[float, float] = (0.0, 92.0)
     laws: tuple[str, ...] = ("kelvin-voigt", "zener", "springpot")
+    thickness: float = 1.0
 
     def draws(self, scenario: Scenario, count: int, *, seed: int = 0) -> tuple[Scenario, ...]:
         """``count`` arms by a Latin hypercube over all inputs."""
         names = soft_tissues(scenario)
-        places = qmc.LatinHypercube(3 * len(names) + 1, rng=seed).random(count)
+        layers = len(getattr(scenario.limb, "layers", ())) if self.thickness != 1 else 0
+        places = qmc.LatinHypercube(3 * len(names) + 1 + layers, rng=seed).random(count)
         return tuple(self._draw(scenario, names, self.laws[i % len(self.laws)], p) for i, p in enumerate(places))
 
     def _draw(self, scenario: Scenario, names: Sequence[str], law: str, places: FloatArray) -> Scenario:
         tissues, data = resolve_tissues(scenario), scenario.model_dump(mode="json", exclude_none=True)
-        for name, place in zip(names, places[:-1].reshape(-1, 3), strict=True):
+        last = 3 * len(names)
+        for name, place in zip(names, places[:last].reshape(-1, 3), strict=True):
             kept = {k: v for k, v in data["tissues"]["override"].get(name, {}).items() if k in ("density", "bulk")}
             stiff, viscous = self.moduli ** (2 * place[:2] - 1)
             near = law_class(law).near(tissues[name].modulus, 2 * np.pi * _TYPICAL, stiff, viscous, place[2])
             data["tissues"]["override"][name] = {**kept, **near.stated(law)}
-        data["tissues"]["membrane"]["tension"] = float(np.interp(places[-1], [0, 1], self.tension))
+        data["tissues"]["membrane"]["tension"] = float(np.interp(places[last], [0, 1], self.tension))
+        for layer, place in zip(data["limb"].get("layers", ()), places[last + 1 :], strict=False):
+            layer["thickness"] *= self.thickness ** (2 * place - 1)
         return parse_scenario(data)
 
 
@@ -159,8 +165,9 @@ class ParametricModel:
         """Compliance of all ports for a draw, with the error of the reduction stated for it.
 
         ``scenario`` may differ from the model's own in tissues (not their bulk moduli), in membrane and tape as far as
-        the model has terms for them, in its layers' thicknesses (:meth:`stretches`), in where the grid lies by some millimetres (:meth:`follows`), in the device but
-        for its contacts, and in what compliances do not follow from. Ports are named and placed as the model's own.
+        the model has terms for them, in its layers' thicknesses (:meth:`stretches`), in where the grid lies by some
+        millimetres (:meth:`follows`), in the device but for its contacts, and in what compliances do not follow from.
+        Ports are named and placed as the model's own.
         Raises ScenarioError for anything else and ReductionError for frequencies more than 5 % beyond the band.
         """
         return self.answer(scenario, frequency)[0]
@@ -362,8 +369,11 @@ def parametric_model(
         if (kept := shelf.record(_MODEL, ParametricFile)) is not None:
             return kept.model
     tell(progress, "matrices", 0, 0)
-    given = [draw for draw in given if not _too_thick(own, draw, mesh)]
-    model = fem_model(own, mesh, motion=motion_of(mesh, own.limb, [draw.limb for draw in given]))
+    given = tuple(draw for draw in given if not _too_thick(own, draw, mesh))
+    if not given:
+        raise ScenarioError("limb.layers: no draw leaves enough of the core of the scene's mesh; give thinner ones")
+    motion = motion_of(mesh, own.limb, [draw.limb for draw in given])
+    model = fem_model(own, mesh if motion is None else motion.mesh, motion=motion)
     names = tuple(t.name for t in model.operator.terms)
     moves = follows_thickness(names)
     for draw in given:

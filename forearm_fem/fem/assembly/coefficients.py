@@ -140,7 +140,7 @@ def grouped(coefficients: Sequence[Coefficient]) -> list[tuple[FloatArray, Coeff
     units = (Polynomial(constant=1.0), Polynomial(rate=1.0), Polynomial(inertia=1.0))
     common = zip(polynomial_weights(np.array(about_zero)), units, strict=True)
     others = list[tuple[FloatArray, Coefficient]]()
-    for k in np.flatnonzero(alone):
+    for k in np.flatnonzero(alone).tolist():
         scaled = coefficients[k]
         inner, share = (scaled.inner, scaled.factor) if isinstance(scaled, Scaled) else (scaled, 1.0)
         weights = next((w for w, c in others if c == inner), None)

@@ -130,8 +130,8 @@ def _moved(
     there = replace(orders, low=replace(orders.low, mesh=mesh), high=replace(orders.high, mesh=mesh))
     names = mesh.region_names
     found = _by_tissue(names, [constrained_matrices(there, r, kept.transform) for r in range(len(names))])
-    if supports.ends == "absorb" and len(facets := mesh.facets.get("end", ())):
-        found |= {name: congruent(m, rules.transform) for name, m in _dashpots(there.high, facets)}
+    if supports.ends == "absorb" and "end" in mesh.facets:
+        found |= {name: congruent(m, rules.transform) for name, m in _dashpots(there.high, mesh.facets["end"])}
     return found
 
 

@@ -15,7 +15,8 @@ from scipy.sparse import csr_array
 from scipy.stats import qmc
 
 from ...errors import GeometryError
-from ...geometry.limb.thickness import Stretch, stretched, stretches
+from ...geometry.device.layout import layers_of
+from ...geometry.limb.thickness import Stretch, stretched, stretches, unfolded
 from ...geometry.mesh.tissue_mesh import TissueMesh
 from ...scenario.limb import Limb, SlabLimb
 from ...typing import FloatArray
@@ -34,9 +35,10 @@ _MARK = "; "  # between a term's name and its powers
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Meshes whose layers are of other thicknesses, with the ``stretches`` of each; ``bent`` where layers are, about a
-    ``core``."""
+    """A ``mesh``, its ``meshes`` whose layers are of other thicknesses, with the ``stretches`` of each; ``bent`` where
+    layers are, about a ``core``."""
 
+    mesh: TissueMesh
     meshes: tuple[TissueMesh, ...]
     stretches: tuple[Mapping[str, Stretch], ...]
     bent: bool
@@ -124,7 +126,7 @@ def _plus(total: csr_array, weight: float, change: csr_array) -> csr_array:
     return csr_array(total + weight * change)
 
 
-_SAMPLES = 16  # meshes that bent layers are fitted to: half as many again as the powers of one term, and more
+_SAMPLES = 16  # meshes that bent layers are fitted to, beside the ends: twice as many as the powers of one term
 
 
 def motion_of(mesh: TissueMesh, limb: Limb, others: Sequence[Limb]) -> Motion | None:
@@ -132,21 +134,24 @@ def motion_of(mesh: TissueMesh, limb: Limb, others: Sequence[Limb]) -> Motion | 
 
     Flat layers take two, which is exact.
     """
-    inside = [[layer.thickness for layer in each.layers] for each in (limb, *others)]  # type: ignore[union-attr]
-    low, high = np.min(inside, axis=0), np.max(inside, axis=0)
+    inside = np.array([[layer.thickness for layer in layers_of(each)] for each in (limb, *others)])
+    low, high = inside.min(axis=0), inside.max(axis=0)
     if np.allclose(low, high, rtol=1e-9):
         return None
-    flat = isinstance(limb, SlabLimb)
-    places = np.array([[0.0], [1.0]]) if flat else qmc.LatinHypercube(len(low), rng=0).random(_SAMPLES)
-    meshes, found = list[TissueMesh](), list[Mapping[str, Stretch]]()
+    ends, flat = np.outer([0.0, 1.0], np.ones(len(low))), isinstance(limb, SlabLimb)
+    places = ends if flat else np.vstack([ends, qmc.LatinHypercube(len(low), rng=0).random(_SAMPLES)])
+    ways, limbs = list[Mapping[str, Stretch]](), list[Limb]()
     for sample in low * (high / low) ** places:
-        layers = [layer.changed({"thickness": t}) for layer, t in zip(limb.layers, sample.tolist(), strict=True)]  # type: ignore[union-attr]
+        layers = [layer.changed({"thickness": t}) for layer, t in zip(layers_of(limb), sample.tolist(), strict=True)]
         other = limb.changed({"layers": layers})
         if (way := stretches(limb, other)) is None:
             return None
         try:
-            meshes.append(stretched(mesh, limb, other))
+            stretched(mesh, limb, other)
         except GeometryError:  # thick layers all at once
             continue
-        found.append(way)
-    return Motion(tuple(meshes), tuple(found), not flat, str(getattr(limb, "core", "")))
+        ways.append(way)
+        limbs.append(other)
+    mesh = unfolded(mesh, limb, limbs)
+    meshes = tuple(stretched(mesh, limb, each) for each in limbs)
+    return Motion(mesh, meshes, tuple(ways), not flat, str(getattr(limb, "core", "")))

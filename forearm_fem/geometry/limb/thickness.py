@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from ...errors import GeometryError
 from ...scenario.limb import CylinderLimb, ForearmLimb, Limb, SlabLimb
 from ...typing import FloatArray
 from ..mesh.tissue_mesh import TissueMesh, straight_jacobians
-from .tube import Tube, tube_of
+from .tube import Tube, folded_edges, tube_of
 
 _DEEPEST = 0.5  # of a limb's radius: how deep its core moves where no bone is nearer
 _LEAST = 0.3  # of its depth: what thicker layers must leave of the core that moves
@@ -50,7 +50,8 @@ def stretched(mesh: TissueMesh, limb: Limb, other: Limb) -> TissueMesh:
 
     Raises GeometryError where too little of the core would be left.
     """
-    assert isinstance(limb, ForearmLimb | CylinderLimb | SlabLimb) and type(other) is type(limb)
+    assert isinstance(limb, ForearmLimb | CylinderLimb | SlabLimb)
+    assert type(other) is type(limb)
     if isinstance(limb, SlabLimb):
         old, new = (_interfaces(x, limb.depth) for x in (limb, other))
         points = mesh.points.copy()
@@ -72,6 +73,18 @@ def stretched(mesh: TissueMesh, limb: Limb, other: Limb) -> TissueMesh:
     on = tube.place(points[ends[layer], 0].mean(axis=1), middle, to[ends[layer]].mean(axis=1))
     offsets[layer] = on - points[ends[layer]].mean(axis=1)
     return _checked(mesh, replace(mesh, points=points, bends=replace(mesh.bends, offsets=offsets)), old, new)
+
+
+def unfolded(mesh: TissueMesh, limb: Limb, others: Sequence[Limb]) -> TissueMesh:
+    """The ``mesh`` without the bends that would fold an element where layers are as thin as those of ``others``."""
+    left = list(others)
+    while left and len(mesh.bends.edges):
+        moved = stretched(mesh, limb, left[-1])
+        folded = folded_edges(moved)
+        if not folded.any():
+            left.pop()
+        mesh = replace(mesh, bends=mesh.bends.chosen(~folded))
+    return mesh
 
 
 def _interfaces(limb: ForearmLimb | CylinderLimb | SlabLimb, deepest: float) -> FloatArray:

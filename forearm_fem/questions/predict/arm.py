@@ -213,7 +213,8 @@ class ReducedArm:
     def left_out(self) -> str:
         """See :class:`ArmModel`."""
         still = self.model.around is None
-        kinds = [*([] if self.model.thickness else ["thickness"]), "contact area", *(["the grid's place"] if still else [])]
+        kinds = [] if self.model.thickness else ["thickness"]
+        kinds += ["contact area", *(["the grid's place"] if still else [])]
         by_layers = " and ".join([", ".join(kinds[:-1]), kinds[-1]] if kinds[1:] else kinds)
         if FASCIA in self.held:
             by_layers = f"no arm has a deep fascia, for the scene has none (limb.layers); what {by_layers}"
