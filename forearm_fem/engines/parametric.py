@@ -54,6 +54,7 @@ _ROUGHER = 2  # degrees of the polynomials that a moved grid is read by: what on
 _POOL = 48  # draws that a model is made from
 _TYPICAL = 100.0  # Hz at which springpots are as stiff as the scenario's tissue
 _MIDDLE = 0.5
+_OF_THICKNESS = Growth(solves=12, checks=4, states=80)  # effort where arms differ in thickness, too
 
 
 @dataclass(frozen=True)
@@ -355,8 +356,8 @@ def parametric_model(
         raise ScenarioError(
             "engine: a parametric model needs engine = 'fem'; the layered model solves each draw itself"
         )
-    growth = growth or Growth()
     given = tuple(draws) if draws is not None else (ranges or Ranges()).draws(scenario, _POOL)
+    growth = growth or (Growth() if all(draw.limb == scenario.limb for draw in given) else _OF_THICKNESS)
     if not given:
         raise ScenarioError("a parametric model needs at least one draw to be made from; give some, or ranges")
     own = _with_all_sheets(scenario, given)
