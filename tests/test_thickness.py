@@ -15,6 +15,7 @@ from forearm_fem.fem.assembly.thickness import motion_of
 from forearm_fem.fem.reduction.parametric_greedy import Growth
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.cache import cached_mesh
+from forearm_fem.geometry.device.place import grid_places
 from forearm_fem.geometry.limb.thickness import stretched, stretches
 from forearm_fem.geometry.limb.tube import tube_of
 from forearm_fem.geometry.mesh.tissue_mesh import true_volumes
@@ -127,3 +128,18 @@ def test_unseen_arms_are_as_right_as_stated():
         truth = direct_sweep(own, probes, draw.solver).values[:, 2:, :2]
         true = band_error(found.block("point", "contact"), truth)
         assert true < found.errors[0].band < 0.5
+
+
+def test_round_limbs_are_read_from_above_too():
+    """The laser's direction needs no other model: places once along the normals, once along z; flat skin has one."""
+    flat, bent = parse_scenario(SLAB), parse_scenario(ROUND)
+    for scene, times in ((flat, 1), (bent, 2)):
+        found = grid_places(scene, cached_mesh(scene))
+        assert found is not None
+        around, ports = found
+        assert len(ports) == times * len(around.places)
+        assert around.hold(scene)
+        assert all(p.axis == (0.0, 0.0, 1.0) for p in ports[(times - 1) * len(around.places) :])
+    assert around.hold(bent.changed({"grid": bent.grid.changed({"direction": "vertical"})}))
+    assert ports[0].position == ports[len(around.places)].position
+    assert ports[-1 - len(around.places)].axis != (0.0, 0.0, 1.0)

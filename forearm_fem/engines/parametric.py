@@ -147,10 +147,12 @@ class ParametricModel:
 
     def follows(self, scenario: Scenario) -> bool:
         """True if the grid of ``scenario`` can be read where it lies."""
-        if scenario.grid.direction != self.scenario.grid.direction:
-            return False
-        own = scenario.grid.places == self.scenario.grid.places
-        return own or (self.around is not None and self.around.hold(scenario))
+        return self._reads_own(scenario) or (self.around is not None and self.around.hold(scenario))
+
+    def _reads_own(self, scenario: Scenario) -> bool:
+        """True if the grid of ``scenario`` is the model's own."""
+        mine, its = self.scenario.grid, scenario.grid
+        return its.direction == mine.direction and its.places == mine.places
 
     def stretches(self, scenario: Scenario) -> bool:
         """True if the layers of ``scenario`` are as thick as those of some arm that the model was made for, or as the
@@ -210,18 +212,19 @@ class ParametricModel:
         """The models of a ``piece`` with the draw's coefficients and with its points where its grid lies, and the whole
         one with points read by polynomials of two degrees less, which tells what these err by."""
         whole, core = (with_scenario(m, scenario, self.scenario.limb) for m in (piece.whole, piece.core))
-        if self.around is not None and scenario.grid.places != self.scenario.grid.places:
-            degree = self.around.count - 1
+        if self.around is not None and not self._reads_own(scenario):
+            degree, above = self.around.count - 1, self.around.turned and scenario.grid.direction == "vertical"
             shares, rougher = (self.around.shares(scenario, d) for d in (degree, degree - _ROUGHER))
-            rough = self._moved(whole, rougher)
-            return replace(piece, whole=self._moved(whole, shares), core=self._moved(core, shares)), rough
+            rough = self._moved(whole, rougher, above)
+            return replace(piece, whole=self._moved(whole, shares, above), core=self._moved(core, shares, above)), rough
         return replace(piece, whole=whole, core=core), whole
 
-    def _moved(self, reduced: ReducedModel, shares: FloatArray) -> ReducedModel:
-        """The model whose points read ``shares`` (n_point, k) of the k places around each."""
+    def _moved(self, reduced: ReducedModel, shares: FloatArray, above: bool) -> ReducedModel:
+        """The model whose points read ``shares`` (n_point, k) of the k places around each, along the normals or from
+        ``above``."""
         points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
         functionals = reduced.functionals.copy()
-        places = reduced.places.reshape(reduced.size, *shares.shape)
+        places = reduced.places.reshape(reduced.size, -1, *shares.shape)[:, int(above)]
         functionals[:, points] = np.einsum("rpk,pk->rp", places, shares)
         return replace(reduced, functionals=functionals)
 

@@ -243,9 +243,11 @@ class ReducedArm:
         models = [self.model] if self.meshes is None else [self.model, self.meshes.second]
         if all(m.stretches(scenario) for m in models):
             own = own.changed({"limb": scenario.limb})
-        # the layered model turns it
-        laid = own.changed({"grid": scenario.grid.changed({"direction": own.grid.direction})})
-        own = laid if all(m.follows(laid) for m in models) else own
+        for direction in (scenario.grid.direction, own.grid.direction):  # else the layered model turns it
+            laid = own.changed({"grid": scenario.grid.changed({"direction": direction})})
+            if all(m.follows(laid) for m in models):
+                own = laid
+                break
         found, missed = self.model.answer(own, frequency)
         off: list[ComplexArray | FloatArray] = [missed.of(found)]
         if self.meshes is not None:
