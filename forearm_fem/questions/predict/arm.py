@@ -274,9 +274,9 @@ class ReducedArm:
         band = (_MISSED * np.linalg.norm(change[block]) + np.linalg.norm(error[block])) / whole
         kinds = {
             "thickness": own.limb != scenario.limb, "contact area": own.device.cone != scenario.device.cone,
-            "grid's place": own.grid != scenario.grid,
+            "place of the grid": own.grid != scenario.grid,
         }  # fmt: skip
-        differs = ", ".join(kind for kind, other in kinds.items() if other)
+        differs = " and ".join(kind for kind, other in kinds.items() if other)
         estimate = ErrorEstimate(
             "interpolation", float(band),
             f"{_MISSED:g} of what the draw's {differs} changes on the layered model, and its errors",
