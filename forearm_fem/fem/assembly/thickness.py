@@ -126,7 +126,7 @@ def _plus(total: csr_array, weight: float, change: csr_array) -> csr_array:
     return csr_array(total + weight * change)
 
 
-_SAMPLES = 16  # meshes that bent layers are fitted to, beside the ends: twice as many as the powers of one term
+_SAMPLES = 8  # meshes that bent layers are fitted to, beside the ends: two thirds more than the powers of one term
 
 
 def motion_of(mesh: TissueMesh, limb: Limb, others: Sequence[Limb]) -> Motion | None:

@@ -14,7 +14,15 @@ import numpy as np
 from ...accuracy.estimates import quadrature_estimate
 from ...engines.arm_meshes import ArmMeshes, arm_meshes
 from ...engines.engine import Engine
-from ...engines.layered import LayeredEngine, flat_disc, flat_layers, flat_ports, flat_surface
+from ...engines.layered import (
+    LayeredEngine,
+    between_ports,
+    contacts_of,
+    flat_disc,
+    flat_layers,
+    flat_ports,
+    flat_surface,
+)
 from ...engines.parametric import ParametricModel, parametric_model, reciprocal
 from ...errors import ForearmError, ScenarioError
 from ...fem.reduction.poles import chebyshev_frequencies
@@ -31,6 +39,7 @@ from .draws import FASCIA, has_fascia
 
 # A third of the time of the layered model's own; what it costs is stated per draw
 _TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)
+_JUDGED = 6  # every so many frequencies the series are judged
 _OF_CHANGE = (1e-2, 3)  # tolerance and terms for what geometry changes: 5e-5 of it apart, in two thirds of the time
 _ALONE, _FAR, _SCATTERED = (1,), 0.5, 0.06  # orders of a change, up to which nearness, and what they leave out of it
 _ENOUGH = 0.1  # e(f): where fewer orders say more (a point near a cone, little loss), more are taken
@@ -133,11 +142,11 @@ class LayeredArm:
 
     def _between(self, scenario: Scenario, ports: tuple[Port, ...], frequency: FloatArray) -> Compliance:
         """Compliance between ``ports`` on the scenario's layers."""
-        discs = [flat_disc(port) for port in ports]
+        contacts, discs = ([flat_disc(port) for port in some] for some in (contacts_of(ports), ports))
         for orders in self.orders:
             found = layered_compliance(
-                flat_layers(scenario), 2 * np.pi * frequency, discs, discs, surface=flat_surface(scenario.tissues),
-                tolerance=self.tolerance, terms=self.terms, orders=orders,
+                flat_layers(scenario), 2 * np.pi * frequency, contacts, discs, surface=flat_surface(scenario.tissues),
+                tolerance=self.tolerance, terms=self.terms, orders=orders, judged=_JUDGED,
             )  # fmt: skip
             error = found.quadrature + found.interpolation
             error = np.asarray(error if self.orders == _ALONE else error + found.truncation)
@@ -147,7 +156,7 @@ class LayeredArm:
             frequency, error,
             "the layered model's own control, with fewer terms than it takes for a scene",
         )  # fmt: skip
-        return Compliance(frequency, found.values, ports, (estimate,))
+        return Compliance(frequency, between_ports(found.values, ports), ports, (estimate,))
 
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
         """See :class:`ArmModel`: its errors are noise."""
