@@ -556,7 +556,7 @@ def test_an_arm_of_other_thickness_is_nearer_with_the_layered_models_change(mode
     assert answer.shown == set(errors)
     all_by_layers = {e.source: e for e in still.compliance(drawn, PROBES).errors}["interpolation"]
     assert errors["interpolation"] < 0.8 * all_by_layers.band
-    assert "contact area and the grid's place change" in all_by_layers.method
+    assert "thickness and place of the grid changes" in all_by_layers.method
 
 
 class Unsure(LayeredArm):
@@ -648,7 +648,7 @@ def test_a_grid_too_far_away_is_the_layered_models(model):
     with pytest.raises(ScenarioError, match=r"^grid"):
         model.compliance(far, PROBES)
     stated = {e.source: e for e in ReducedArm(scene, model, LayeredArm()).compliance(far, PROBES).errors}
-    assert "and the grid's place change" in stated["interpolation"].method
+    assert "place of the grid changes" in stated["interpolation"].method
 
 
 def test_places_around_a_point_give_polynomials_between():

@@ -13,7 +13,6 @@ import numpy as np
 
 from ...accuracy.estimates import quadrature_estimate
 from ...engines.arm_meshes import ArmMeshes, arm_meshes
-from ...engines.engine import Engine
 from ...engines.layered import (
     LayeredEngine,
     between_ports,
@@ -24,8 +23,10 @@ from ...engines.layered import (
     flat_surface,
 )
 from ...engines.parametric import ParametricModel, parametric_model, reciprocal
+from ...engines.simulation import Engine
 from ...errors import ForearmError, ScenarioError
 from ...fem.reduction.poles import chebyshev_frequencies
+from ...geometry.limb.thickness import stretches
 from ...layered import layered_compliance
 from ...metrics import smooth_noise
 from ...ports import Port
@@ -188,9 +189,10 @@ def without_bones(scenario: Scenario) -> Scenario:
 class ReducedArm:
     """The scene's own finite elements for any tissue and tension (:mod:`forearm_fem.engines.parametric`).
 
-    A mesh has one geometry, but its skin can be read anywhere: a draw's grid is read where it lies, if that is within
-    millimetres of the scene's. What thicknesses and contact radius change, or a grid further away, is the difference of
-    two answers of the layered model for the draw's tissues, and stated to be wrong by up to half of itself. A scene
+    Layers of other thicknesses stretch with the mesh, and its skin can be read anywhere: a draw's grid is read where it
+    lies, if that is within millimetres of the scene's. What the contact radius changes, or thicknesses and a grid
+    beyond what the model was made for, is the difference of two answers of the layered model for the draw's tissues,
+    and stated to be wrong by up to half of itself. A scene
     with tape on the skin, which the layered model has not, holds all of these. ``meshes`` tell what the elements err by
     for each draw; where there are none, ``without`` says why.
     """
@@ -220,7 +222,9 @@ class ReducedArm:
     def left_out(self) -> str:
         """See :class:`ArmModel`."""
         still = self.model.around is None
-        by_layers = "thickness, contact area and the grid's place" if still else "thickness and contact area"
+        kinds = [] if self.model.thickness else ["thickness"]
+        kinds += ["contact area", *(["the grid's place"] if still else [])]
+        by_layers = " and ".join([", ".join(kinds[:-1]), kinds[-1]] if kinds[1:] else kinds)
         if FASCIA in self.held:
             by_layers = f"no arm has a deep fascia, for the scene has none (limb.layers); what {by_layers}"
         else:
@@ -245,10 +249,14 @@ class ReducedArm:
         """See :class:`ArmModel`: each error may be missed by its size at each pair of ports, alike at all of them or in
         any phase at each."""
         own = with_scene_geometry(self.scenario, scenario)  # but with its own grid where both meshes can read it
-        # the layered model turns it
-        laid = own.changed({"grid": scenario.grid.changed({"direction": own.grid.direction})})
         models = [self.model] if self.meshes is None else [self.model, self.meshes.second]
-        own = laid if all(m.follows(laid) for m in models) else own
+        if all(m.stretches(scenario) for m in models):
+            own = own.changed({"limb": scenario.limb})
+        for direction in (scenario.grid.direction, own.grid.direction):  # else the layered model turns it
+            laid = own.changed({"grid": scenario.grid.changed({"direction": direction})})
+            if all(m.follows(laid) for m in models):
+                own = laid
+                break
         found, missed = self.model.answer(own, frequency)
         off: list[ComplexArray | FloatArray] = [missed.of(found)]
         if self.meshes is not None:
@@ -273,10 +281,14 @@ class ReducedArm:
         size, whole = np.abs(found.values[block]).max(axis=(1, 2)), np.linalg.norm(found.values[block])
         missed = (_MISSED * np.abs(change[block]).max(axis=(1, 2)) + error[block].max(axis=(1, 2))) / size
         band = (_MISSED * np.linalg.norm(change[block]) + np.linalg.norm(error[block])) / whole
-        laid = " and the grid's place" if own.grid != scenario.grid else ""
+        kinds = {
+            "thickness": own.limb != scenario.limb, "contact area": own.device.cone != scenario.device.cone,
+            "place of the grid": own.grid != scenario.grid,
+        }  # fmt: skip
+        differs = " and ".join(kind for kind, other in kinds.items() if other)
         estimate = ErrorEstimate(
             "interpolation", float(band),
-            f"{_MISSED:g} of what the draw's thickness, contact area{laid} change on the layered model, and its errors",
+            f"{_MISSED:g} of what the draw's {differs} changes on the layered model, and its errors",
             tuple(frequency.tolist()), tuple(missed.tolist()),
         )  # fmt: skip
         changed = replace(found, values=found.values + change, errors=(*found.errors, estimate))
@@ -374,7 +386,10 @@ def arm_model(
         )
     if scenario.engine == "layered" or layered:
         return LayeredArm(scenario.engine == "fem")
-    known = [with_scene_geometry(scenario, d) for d in draws]
+    known = [
+        own if stretches(scenario.limb, d.limb) is None else own.changed({"limb": d.limb})
+        for d in draws for own in [with_scene_geometry(scenario, d)]
+    ]  # fmt: skip
     model = parametric_model(scenario, base=base, draws=known or None, progress=progress)
     try:
         meshes, without = arm_meshes(scenario, base, known or None, within(progress, "coarser mesh")), ""
