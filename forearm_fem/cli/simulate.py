@@ -142,7 +142,7 @@ def _render_given(
     with locked(folder):
         with job() as display:
             made = Run.given(scene, folder, base, display)
-            made.notes += [f"G: {file}", *notes]
+            made.notes += [f"drives are made on the G of {file}", *notes]
             run_given(made, g)
         print_notes(made.notes)
         _print_answer(made)
