@@ -15,9 +15,9 @@ from scipy.stats.qmc import LatinHypercube
 from ...accuracy.estimates import quadrature_estimate
 from ...device.loop import close_loop
 from ...engines.arm_meshes import ArmMeshes, arm_meshes
-from ...engines.engine import Engine
 from ...engines.layered import LayeredEngine, between_ports, flat_disc, flat_layers, flat_surface
 from ...engines.parametric import ParametricModel, parametric_model
+from ...engines.simulation import Engine
 from ...errors import ScenarioError
 from ...geometry.device.layout import layers_of, planform_ports
 from ...layered import layered_compliance
