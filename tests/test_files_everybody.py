@@ -97,6 +97,16 @@ def test_what_is_no_table_of_numbers_is_told_apart(tmp_path, text, said):
         read(tmp_path / "lab.csv")
 
 
+def test_a_first_comment_of_json_says_what_a_declaration_says(tmp_path):
+    """As our own tables say it; what it says need not be declared, and what it says wrongly is told with its line."""
+    (tmp_path / "lab.csv").write_text('# {"unit": "mm/V", "sign": "+iwt", "lab": 3}\n' + "\n".join(rows()))
+    back = read(tmp_path / "lab.csv", Declaration(spectrum="one-sided"))
+    np.testing.assert_allclose(back.values, 1e-3 * G.values, rtol=1e-15)
+    (tmp_path / "lab.csv").write_text('# {"sign": "up"}\n' + "\n".join(rows()))
+    with pytest.raises(DataError, match=r"lab\.csv, line 1: .*sign: input should be '\+iwt' or '-iwt', got 'up'"):
+        read(tmp_path / "lab.csv")
+
+
 def test_text_is_text_in_any_usual_encoding():
     for encoding in ("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp1252"):
         assert text_of("Größe, µm\r\n1,2\n".encode(encoding)) == "Größe, µm\n1,2\n"

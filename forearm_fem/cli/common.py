@@ -246,7 +246,9 @@ def transfer_file(what: Path) -> Path:
 
         several(what)  # refuses a folder of nothing known
     elif not what.exists() and not glob.glob(str(what)):
-        raise DataError(f"{what}: no such file or results folder")
+        made = Path("results") / what
+        meant = f"; did you mean {made}?" if made.is_dir() else "; `forearm-fem run SCENARIO` makes a results folder"
+        raise DataError(f"{what}: no such file or results folder{meant}")
     return what
 
 
