@@ -463,7 +463,7 @@ def test_a_library_states_the_seconds_of_all_calls(slab, library, tmp_path, monk
     monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))
 
     facts = {**library.facts, "seconds_loads": 7200.0, "seconds_poles": 60.0}
-    kept = side.Side(library.fine, library.freed, library.reduction, library.missed, facts)
+    kept = side.MeshPart(library.fine, library.freed, library.reduction, library.missed, facts)
     monkeypatch.setattr(make, "solved_side", lambda *asked, **how: kept)
     assert 7260 <= make_library(slab).facts["seconds"] < 7260 + 600
 
