@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,11 +15,10 @@ from ..accuracy.estimates import PairErrors, raised_to_row_column_mean
 from ..errors import ReductionError, ScenarioError
 from ..fem.assembly.model import readings
 from ..fem.kernels.compiled import freed_memory_kept
-from ..fem.reduction.basis import Basis
+from ..fem.reduction.affine import AffineReduced, coefficients_of
 from ..fem.reduction.parametric_greedy import Growth, Piece, TrialSolve, piece_at, united_model
 from ..fem.reduction.per_query_basis import FIRST, Summed, spanned
-from ..fem.reduction.poles import chebyshev_frequencies, rational
-from ..fem.reduction.reduced_model import ReducedModel
+from ..fem.reduction.rational import chebyshev_frequencies, rational
 from ..geometry.cache import cached_mesh
 from ..geometry.device.place import GridPlaces, grid_places
 from ..geometry.mesh.tissue_mesh import TissueMesh
@@ -38,13 +36,12 @@ from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray
 from ..user_cache import default_cache_dir
 from .fem import fem_model, masked
-from .skin_model import check_followable, coefficients_of, unfollowed, with_scenario
+from .skin_model import BEYOND, check_followable, unfollowed
 from .solved import solve_key
 
 _MODEL = "model"  # the key of the finished one
 # Keys that compliances do not follow from: a draw may differ in them.
 _UNREAD = ("rendering", "measurement", "sweep", "solver", "accuracy", "schema_version")
-BEYOND = 1.05  # ratio to the ends of the band up to which a draw is answered
 _NODES = 33  # frequencies of a piece that a draw's rational function is made from; up to so many are solved as asked
 _SPANNED = 1e-3  # of the largest entry of points under contacts: what the span of a draw's solutions may err by there
 _BETWEEN = 2e-4  # of the largest entry: what a rational function may miss at the nodes that it does not pass through
@@ -88,17 +85,20 @@ def soft_tissues(scenario: Scenario) -> tuple[str, ...]:
     return tuple(dict.fromkeys(t for t in tissue_keys(scenario.limb).values() if t != "bone"))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ParametricModel:
     """A limb seen through its ports for any tissue, tension and tape near those it was made from.
 
     ``pieces`` are the reduced models of the parts of the band. ``checks`` are comparisons with direct solves that had
     no part in making them; ``factor`` is what their estimates were too small by. ``around`` are the places where points
-    of the grid can be read, None where they stay where they are.
+    of the grid can be read, None where they stay where they are. It is kept in the cache as it stands here.
     """
 
+    kind: ClassVar[str] = "parametric model"
+    version: ClassVar[int] = 2
+
     scenario: Scenario
-    ports: tuple[Port, ...]
+    ports: tuple[Port, ...] = field(metadata=dims("port"))
     pieces: tuple[Piece, ...]
     trials: tuple[TrialSolve, ...]
     checks: tuple[TrialSolve, ...]
@@ -181,10 +181,10 @@ class ParametricModel:
         missed = self._missed(found)
         return Compliance(frequency, masked(values, self.ports), self.ports, (self._error(found, missed),)), missed
 
-    def _drawn(self, piece: Piece, scenario: Scenario) -> tuple[Piece, ReducedModel]:
+    def _drawn(self, piece: Piece, scenario: Scenario) -> tuple[Piece, AffineReduced]:
         """The models of a ``piece`` with the draw's coefficients and with its points where its grid lies, and the whole
         one with points read by polynomials of two degrees less, which tells what these err by."""
-        whole, core = (with_scenario(m, scenario) for m in (piece.whole, piece.core))
+        whole, core = (m.at(scenario) for m in (piece.whole, piece.core))
         if self.around is not None and scenario.grid.places != self.scenario.grid.places:
             degree = self.around.count - 1
             shares, rougher = (self.around.shares(scenario, d) for d in (degree, degree - _ROUGHER))
@@ -192,7 +192,7 @@ class ParametricModel:
             return replace(piece, whole=self._moved(whole, shares), core=self._moved(core, shares)), rough
         return replace(piece, whole=whole, core=core), whole
 
-    def _moved(self, reduced: ReducedModel, shares: FloatArray) -> ReducedModel:
+    def _moved(self, reduced: AffineReduced, shares: FloatArray) -> AffineReduced:
         """The model whose points read ``shares`` (n_point, k) of the k places around each."""
         points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
         functionals = reduced.functionals.copy()
@@ -200,7 +200,7 @@ class ParametricModel:
         functionals[:, points] = np.einsum("rpk,pk->rp", places, shares)
         return replace(reduced, functionals=functionals)
 
-    def _answered(self, drawn: Piece, rough: ReducedModel, frequency: FloatArray) -> _Answer:
+    def _answered(self, drawn: Piece, rough: AffineReduced, frequency: FloatArray) -> _Answer:
         """Answer of a ``drawn`` piece at ``frequency`` (n,): values, interpolation error, and values of its core and
         of the model of ``rough`` points."""
         system, moved = Summed.of(drawn.whole), rough is not drawn.whole
@@ -341,9 +341,8 @@ def parametric_model(
     tissues = [draw.tissues.model_dump(mode="json") for draw in given]
     key = digest_of([__version__, solve_key(own, mesh, band), tissues, astuple(growth)])[:32]
     shelf = Shelf(default_cache_dir() / "parametric" / f"{key}.sqlite", "the parametric model")
-    with suppress(ScenarioError):
-        if (kept := shelf.record(_MODEL, ParametricFile)) is not None:
-            return kept.model
+    if (kept := shelf.record(_MODEL, ParametricModel)) is not None:
+        return kept
     tell(progress, "matrices", 0, 0)
     model = fem_model(own, mesh)
     names = tuple(t.name for t in model.operator.terms)
@@ -355,77 +354,11 @@ def parametric_model(
     read = readings(model, around[1] if around else ())
     with freed_memory_kept():
         united = united_model(model, found, band, own.solver, growth, parts, progress, read)
-    made = ParametricModel(
-        own, model.ports, united.pieces, united.trials, united.checks, united.solves, around[0] if around else None
-    )
-    if shelf.keep(_MODEL, ParametricFile.of(made)):
+    solves = 1 + growth.solves + growth.checks
+    made = ParametricModel(own, model.ports, *united, solves, around[0] if around else None)
+    if shelf.keep(_MODEL, made):
         parts.remove()
     return made
-
-
-@dataclass(frozen=True, eq=False)
-class _Reduced:
-    """A reduced model of a piece: ``matrices`` (n_term, r, r), ``functionals`` (r, n_port), ``places`` (r, k)."""
-
-    matrices: FloatArray = field(metadata=dims("term entry", upper=True))
-    functionals: FloatArray = field(metadata=dims("row port"))
-    places: FloatArray = field(metadata=dims("row place"))
-
-    @classmethod
-    def of(cls, model: ReducedModel) -> _Reduced:
-        """Record of a model, as it is kept on file."""
-        return cls(model.matrices, model.functionals, model.places)
-
-
-@dataclass(frozen=True, eq=False)
-class _PieceOfFile:
-    """The models of the part of the band up to ``high`` [Hz]; the ``core`` is for the estimate of errors."""
-
-    high: float
-    whole: _Reduced
-    core: _Reduced
-
-
-@dataclass(frozen=True, eq=False)
-class ParametricFile:
-    """Reduced models for many tissues, one for each part of the band, and what they were compared with."""
-
-    kind: ClassVar[str] = "parametric model"
-    version: ClassVar[int] = 1
-
-    names: tuple[str, ...] = field(metadata=dims("term", name="term"))
-    shares: FloatArray = field(metadata=dims("port", name="share"))
-    ports: tuple[Port, ...] = field(metadata=dims("port"))
-    pieces: tuple[_PieceOfFile, ...]
-    trials: tuple[TrialSolve, ...]
-    checks: tuple[TrialSolve, ...]
-    scenario: dict[str, Any]
-    solves: int
-    around: GridPlaces | None
-
-    @classmethod
-    def of(cls, model: ParametricModel) -> ParametricFile:
-        """The file of a model."""
-        first = model.pieces[0].whole
-        pieces = tuple(_PieceOfFile(p.high, *(_Reduced.of(m) for m in (p.whole, p.core))) for p in model.pieces)
-        return cls(
-            first.names, first.shares, model.ports, pieces, model.trials, model.checks,
-            model.scenario.model_dump(mode="json"), model.solves, model.around,
-        )  # fmt: skip
-
-    @property
-    def model(self) -> ParametricModel:
-        """The model of a file; ScenarioError for a scenario that is not known."""
-        scenario = parse_scenario(self.scenario)
-
-        def reduced(of: _Reduced) -> ReducedModel:
-            """A reduced model from its arrays, with the scenario's coefficients."""
-            low = np.zeros((len(of.functionals), 0))
-            arrays = of.matrices, of.functionals, self.shares
-            return with_scenario(ReducedModel(self.names, (), *arrays, Basis(), low, places=of.places), scenario)
-
-        pieces = tuple(Piece(p.high, reduced(p.whole), reduced(p.core)) for p in self.pieces)
-        return ParametricModel(scenario, self.ports, pieces, self.trials, self.checks, self.solves, self.around)
 
 
 def _with_all_sheets(scenario: Scenario, draws: Sequence[Scenario]) -> Scenario:

@@ -5,18 +5,16 @@ from __future__ import annotations
 import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from ..accuracy.other_tissues import carried, probes, shortening, space_error
 from ..device import close_loop
 from ..errors import AccuracyWarning, DataError, ReductionError, ScenarioError
-from ..fem.assembly.coefficients import Coefficient, term_coefficient
-from ..fem.reduction.basis import Basis
-from ..fem.reduction.poles import PoleResidue, pole_residue
-from ..fem.reduction.reduced_model import ReducedModel
+from ..fem.reduction.affine import AffineReduced, Modes
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
 from ..scenario.load import read_overrides
@@ -24,32 +22,36 @@ from ..scenario.sweep import frequencies
 from ..store.record import dims, load, save
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix
-from ..typing import ComplexArray, FloatArray
+from ..typing import FloatArray
 from .fem import masked
 
-__all__ = ["SkinModel", "check_followable", "load_skin_model", "save_skin_model", "with_scenario"]
+__all__ = ["SkinModel", "check_followable", "load_skin_model", "save_skin_model"]
 
 _MAY_CHANGE = {"tissues", "device", "name", "description"}
-_BEYOND = 1.05  # ratio to the ends of the band up to which a model with unstable poles is trusted
+BEYOND = 1.05  # ratio to the ends of the band up to which a model with unstable poles is trusted
 _OF_SPACE = ("reduction", "linear solve")  # sources of errors of a compliance; mesh and ends are told of G
 _BEYOND_BAND = "not estimated: frequencies lie outside the band that was solved; solve a wider one"
 _NOT_AFFINE = "the bulk modulus is not a parameter of the reduced model; solve the scenario anew"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SkinModel:
-    """A limb seen through its ports: ``reduced`` matrices with the coefficients of ``scenario``.
+    """A limb seen through its ports: ``reduced`` matrices, whose coefficients follow from ``scenario``.
 
     ``core`` is how many of its directions, the first, were certified for the scenario that was ``solved``; the others
     serve other moduli (:func:`.widened`), 0 where there are none. ``poles`` are what the sweep found for its
     coefficients; without them each evaluation finds its own. ``errors`` are those of the solved compliance, then those
-    of its G by mesh and ends. ``solved`` is None where the scenario is the solved one.
+    of its G by mesh and ends. ``solved`` is None where the scenario is the solved one. ``reduced.nc`` holds all of it,
+    in a few megabytes.
     """
 
+    kind: ClassVar[str] = "reduced model"
+    version: ClassVar[int] = 3
+
     scenario: Scenario
-    ports: tuple[Port, ...]
-    reduced: ReducedModel
-    poles: PoleResidue | None = None
+    ports: tuple[Port, ...] = field(metadata=dims("port"))
+    reduced: AffineReduced = field(metadata=dims(name=""))
+    poles: Modes | None = None
     core: int = 0
     errors: tuple[ErrorEstimate, ...] = ()
     solved: Scenario | None = None
@@ -64,8 +66,8 @@ class SkinModel:
         if frequency.ndim != 1 or not len(frequency) or not np.all(np.isfinite(frequency) & (frequency >= 0)):
             raise DataError("frequency: expected a row of one or more, finite and not negative [Hz]; correct it")
         band = frequencies(self.scenario.sweep)
-        beyond = frequency[(frequency < band.min() / _BEYOND) | (frequency > band.max() * _BEYOND)]
-        if len(beyond) and (count := self.reduced.negative_directions()):
+        beyond = frequency[(frequency < band.min() / BEYOND) | (frequency > band.max() * BEYOND)]
+        if len(beyond) and (count := self._drawn.negative_directions()):
             raise ReductionError(
                 f"{beyond[0]:g} Hz is outside the band of this reduced model, {band.min():g} to {band.max():g} Hz, and "
                 f"the model has {count} unstable poles there: solve a wider band (sweep.f_min, sweep.f_max), or anew "
@@ -78,8 +80,8 @@ class SkinModel:
                 AccuracyWarning,
                 stacklevel=2,
             )
-        used = self._certified if self.solved is None else self.reduced
-        values = masked((self.poles or pole_residue(used, frequency) or used).compliance(frequency), self.ports)
+        used = self._certified if self.solved is None else self._drawn
+        values = masked(self.poles.compliance(frequency) if self.poles else used.response(frequency), self.ports)
         found = Compliance(frequency.copy(), values, self.ports, tuple(e for e in self.errors if e.source in _OF_SPACE))
         if len(beyond):
             return replace(found, errors=(ErrorEstimate("reduction", np.nan, _BEYOND_BAND),))
@@ -90,11 +92,14 @@ class SkinModel:
         solves = (e for e in found.errors if e.source != "reduction")
         return replace(found, errors=(*solves, replace(error, per_pair=None)))
 
+    @cached_property
+    def _drawn(self) -> AffineReduced:
+        return self.reduced.at(self.scenario)
+
     @property
-    def _certified(self) -> ReducedModel:
+    def _certified(self) -> AffineReduced:
         """The model on the directions that were certified for what was solved."""
-        own, k = self.reduced, self.core or self.reduced.size
-        return replace(own, matrices=own.matrices[:, :k, :k], functionals=own.functionals[:k])
+        return self._drawn.part(slice(self.core or None))
 
     def _compared(self, found: Compliance) -> tuple[Compliance, Compliance]:
         """Some rows of ``found``, and the same by the certified directions alone."""
@@ -124,85 +129,27 @@ class SkinModel:
         Raises ScenarioError for a key that the reduced model cannot follow, and where it holds nothing to tell the
         error of other tissues by.
         """
-        before = self.scenario.model_dump(mode="json")
-        after = parse_scenario(before, changes=read_overrides(overrides))
+        after = parse_scenario(self.scenario.model_dump(mode="json"), changes=read_overrides(overrides))
         check_followable(self.scenario, after, self.reduced.names)
         old = self.solved or self.scenario
         if old.tissues == after.tissues:
-            poles = self.poles if before == after.model_dump(mode="json") else None
-            return replace(self, scenario=after, reduced=with_scenario(self.reduced, after), poles=poles, solved=None)
+            return replace(self, scenario=after, solved=None)
         if not self.core:
             raise ScenarioError(
                 "tissues: this reduced model tells no error for other tissues; solve the scenario anew, which is then "
                 "kept with what other tissues ask for"
             )
-        return replace(self, scenario=after, reduced=with_scenario(self.reduced, after), poles=None, solved=old)
-
-
-def with_scenario(reduced: ReducedModel, scenario: Scenario) -> ReducedModel:
-    """The reduced matrices with the coefficients that ``scenario`` gives their terms."""
-    return replace(reduced, coefficients=coefficients_of(reduced.names, scenario))
-
-
-def coefficients_of(names: Sequence[str], scenario: Scenario) -> tuple[Coefficient, ...]:
-    """Coefficients of the terms ``names`` in ``scenario``."""
-    tissues, sheets = resolve_tissues(scenario), scenario.tissues
-    return tuple(term_coefficient(n, tissues, scenario.supports, sheets.membrane, sheets.patch) for n in names)
-
-
-@dataclass(frozen=True, eq=False)
-class ReducedFile:
-    """``reduced.nc``: the reduced model, a few megabytes that give the compliance at any frequency, for any moduli.
-
-    ``matrices`` (n_term, r, r) of terms ``names``, real and symmetric, ``functionals`` (r, n_port) and ``shares``
-    (n_port,) as in :class:`forearm_fem.fem.reduction.reduced_model.ReducedModel`, and the poles and residues of
-    :class:`forearm_fem.fem.reduction.poles.PoleResidue` where there are any. The scenario multiplies the terms.
-    ``core`` and ``errors`` are as in :class:`SkinModel`.
-    """
-
-    kind: ClassVar[str] = "reduced model"
-    version: ClassVar[int] = 2
-
-    names: tuple[str, ...] = field(metadata=dims("term", name="term"))
-    matrices: FloatArray = field(metadata=dims("term entry", name="upper", upper=True))
-    functionals: FloatArray = field(metadata=dims("row port", name="functional"))
-    shares: FloatArray = field(metadata=dims("port", name="share"))
-    ports: tuple[Port, ...] = field(metadata=dims("port"))
-    scenario: dict[str, Any]
-    poles: ComplexArray | None = field(default=None, metadata=dims("mode"))
-    left: ComplexArray | None = field(default=None, metadata=dims("port mode"))
-    right: ComplexArray | None = field(default=None, metadata=dims("mode port"))
-    core: int = 0
-    errors: tuple[ErrorEstimate, ...] = ()
-
-    @classmethod
-    def of(cls, model: SkinModel) -> ReducedFile:
-        """The file of a model."""
-        r, seen = model.reduced, model.poles
-        poles = {} if seen is None else {name: getattr(seen, name) for name in ("poles", "left", "right")}
-        scenario = model.scenario.model_dump(mode="json")
-        kept = (r.names, r.matrices, r.functionals, r.shares, model.ports, scenario)
-        return cls(*kept, **poles, core=model.core, errors=model.errors)
-
-    def model(self, origin: str | Path) -> SkinModel:
-        """The model of a file; ScenarioError for a scenario that is not known, which ``origin`` holds."""
-        scenario = parse_scenario(self.scenario, origin=str(origin))
-        low = np.zeros((len(self.functionals), 0))
-        bare = ReducedModel(self.names, (), self.matrices, self.functionals, self.shares, Basis(), low)
-        poles = None
-        if self.poles is not None and self.left is not None and self.right is not None:
-            poles = PoleResidue(self.poles, self.left, self.right, shares=self.shares)
-        return SkinModel(scenario, self.ports, with_scenario(bare, scenario), poles, self.core, self.errors)
+        return replace(self, scenario=after, poles=None, solved=old)
 
 
 def save_skin_model(path: Path, model: SkinModel) -> None:
     """Write ``reduced.nc``, whole or not at all."""
-    save(path, ReducedFile.of(model))
+    save(path, model)
 
 
 def load_skin_model(path: str | Path) -> SkinModel:
     """Read ``reduced.nc``; DataError for a missing or damaged file."""
-    return load(path, ReducedFile).model(path)
+    return load(path, SkinModel)
 
 
 def check_followable(before: Scenario, after: Scenario, terms: Sequence[str], *, unread: Collection[str] = ()) -> None:

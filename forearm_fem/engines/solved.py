@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar
@@ -16,7 +15,6 @@ from .. import __version__
 from ..errors import ForearmError
 from ..fem.assembly.boundary import edge_middles
 from ..fem.kernels.compiled import freed_memory_kept
-from ..fem.reduction.basis import Basis
 from ..fem.reduction.compile_ahead import start_compiling
 from ..geometry.cache import cached_mesh
 from ..geometry.device.place import place_ports
@@ -36,7 +34,7 @@ from ..user_cache import default_cache_dir
 from .fem import FemSolution, freed_ends, other_ends, reduction_tolerance, second_compliance, solve_fem
 from .forecast import forecast, refuse_if_too_large
 from .second_mesh import second_mesh
-from .skin_model import ReducedFile, SkinModel
+from .skin_model import SkinModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +49,14 @@ class Solved:
     ``resolution`` how finely it carries the shortest waves, and ``notes`` are sentences about that.
     """
 
+    kind: ClassVar[str] = "solution"
+    version: ClassVar[int] = 2
+
     compliance: Compliance
     coarse: Compliance | None
     freed: Compliance | None
-    modes: FloatArray
-    states: ComplexArray
+    modes: FloatArray = field(metadata=dims("point xyz mode", single=True))
+    states: ComplexArray = field(metadata=dims("frequency mode contact", single=True))
     facts: SolutionRecord
     unknown: tuple[ErrorEstimate, ...] = ()
     skin: SkinModel | None = None
@@ -174,8 +175,7 @@ def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) ->
     skin = None
     if sweep.reduced is not None:
         wider, core = (sweep.wider, sweep.wider.low.shape[1]) if sweep.wider else (sweep.reduced, 0)
-        bare = replace(wider, basis=Basis(), low=np.zeros((wider.size, 0)), coupling=np.zeros((0, 0)))
-        skin = SkinModel(scenario, model.ports, bare, sweep.poles, core, solution.compliance.errors)
+        skin = SkinModel(scenario, model.ports, wider.bare(), sweep.poles, core, solution.compliance.errors)
         contacts = solution.compliance.indices("contact")
         modes = field_modes(solution)
         states = sweep.states(frequency, contacts)
@@ -197,27 +197,6 @@ def field_modes(solution: FemSolution) -> FloatArray:
     return reduced.basis.seen_by(csr_array(shown)).reshape(-1, 3, reduced.size)
 
 
-@dataclass(frozen=True, eq=False)
-class _Kept:
-    """The main part of a :class:`Solved`, on its shelf."""
-
-    kind: ClassVar[str] = "solution"
-    version: ClassVar[int] = 1
-
-    compliance: Compliance
-    freed: Compliance | None
-    modes: FloatArray = field(metadata=dims("point xyz mode", single=True))
-    states: ComplexArray = field(metadata=dims("frequency mode contact", single=True))
-    facts: SolutionRecord
-    skin: ReducedFile | None
-
-    @property
-    def solved(self) -> Solved:
-        """The same as a result."""
-        skin = None if self.skin is None else self.skin.model("the cache")
-        return Solved(self.compliance, None, self.freed, self.modes, self.states, self.facts, skin=skin)
-
-
 class _Store:
     """Store of one solve's finished parts, and of the expansions of its main part on a shelf of its own."""
 
@@ -231,14 +210,9 @@ class _Store:
 
     def main(self) -> Solved | None:
         """The main part, or None."""
-        kept = self._shelf.record("main", _Kept)
-        with suppress(ForearmError):  # a scenario of another version
-            return None if kept is None else kept.solved
-        return None
+        return self._shelf.record("main", Solved)
 
     def keep_main(self, solved: Solved) -> None:
         """Keep the main part, then drop the expansions it came from."""
-        skin = None if solved.skin is None else ReducedFile.of(solved.skin)
-        kept = _Kept(solved.compliance, solved.freed, solved.modes, solved.states, solved.facts, skin)
-        if self._shelf.keep("main", kept):
+        if self._shelf.keep("main", solved):
             self.parts.remove()

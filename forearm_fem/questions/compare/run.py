@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 
 from ...device.loop import close_loop
 from ...engines.engine import Engine
-from ...engines.parametric import BEYOND, ParametricModel
+from ...engines.parametric import ParametricModel
+from ...engines.skin_model import BEYOND
 from ...errors import DataError, ForearmError
 from ...files.declaration import Declaration, arbitrary_gain, declared_by
 from ...files.read import read

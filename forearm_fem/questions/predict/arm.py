@@ -17,7 +17,7 @@ from ...engines.engine import Engine
 from ...engines.layered import LayeredEngine, flat_disc, flat_layers, flat_ports, flat_surface
 from ...engines.parametric import ParametricModel, parametric_model, reciprocal
 from ...errors import ForearmError, ScenarioError
-from ...fem.reduction.poles import chebyshev_frequencies
+from ...fem.reduction.rational import chebyshev_frequencies
 from ...layered import layered_compliance
 from ...metrics import smooth_noise
 from ...ports import Port

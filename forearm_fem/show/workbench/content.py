@@ -13,7 +13,7 @@ import numpy as np
 from ... import __version__
 from ...accuracy.estimates import accuracy_verdict
 from ...engines.simulation import simulate
-from ...engines.skin_model import ReducedFile
+from ...engines.skin_model import load_skin_model
 from ...errors import DataError, GeometryError, ScenarioError
 from ...files.declaration import arbitrary_gain
 from ...geometry.device.layout import layout_of
@@ -264,15 +264,14 @@ def _model(results: Results, placed: BinnedTransfer) -> dict[str, Any]:
     contacts, points = compliance.indices("contact"), compliance.indices("point")
     order = [*contacts, *points]
     if results.has("reduced.nc"):
-        found = load(results.path("reduced.nc"), ReducedFile)
-        poles, left, right = found.poles, found.left, found.right
-        if poles is not None and left is not None and right is not None and _same_ports(found.ports, compliance.ports):
+        found = load_skin_model(results.path("reduced.nc"))
+        if (modes := found.poles) is not None and _same_ports(found.ports, compliance.ports):
             return {
                 "kind": "poles",
-                "poles": packed(poles, "c16"),
-                "left": packed(left[order], "c16"),
-                "right": packed(right[:, order], "c16"),
-                "shares": packed(found.shares[order], "f8"),
+                "poles": packed(modes.poles, "c16"),
+                "left": packed(modes.left[order], "c16"),
+                "right": packed(modes.right[:, order], "c16"),
+                "shares": packed(modes.shares[order], "f8"),
             }
     values = compliance.values[:, order][:, :, contacts]
     bins = place_on_bins(
