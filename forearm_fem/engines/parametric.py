@@ -35,13 +35,12 @@ from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray
 from ..user_cache import default_cache_dir
+from .engine import refuse_unheld
 from .fem import fem_model, masked
-from .skin_model import BEYOND, check_followable, unfollowed
+from .skin_model import BEYOND, unfollowed
 from .solved import solve_key
 
 _MODEL = "model"  # the key of the finished one
-# Keys that compliances do not follow from: a draw may differ in them.
-_UNREAD = ("rendering", "measurement", "sweep", "solver", "accuracy", "schema_version")
 _NODES = 33  # frequencies of a piece that a draw's rational function is made from; up to so many are solved as asked
 _SPANNED = 1e-3  # of the largest entry of points under contacts: what the span of a draw's solutions may err by there
 _BETWEEN = 2e-4  # of the largest entry: what a rational function may miss at the nodes that it does not pass through
@@ -112,8 +111,7 @@ class ParametricModel:
 
     def holds(self, scenario: Scenario) -> str:
         """See :class:`.Engine`: scenarios that differ in what the model's terms can follow."""
-        grid = {"grid"} if self.follows(scenario) else set()
-        return unfollowed(self.scenario, scenario, self.names, unread={*_UNREAD, *grid})
+        return unfollowed(self.scenario, scenario, self.names, grid=self.follows(scenario))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -158,8 +156,7 @@ class ParametricModel:
 
     def _asked(self, scenario: Scenario, frequency: FloatArray) -> list[tuple[Piece, BoolArray]]:
         """Pieces of the band with the places (n,) of the frequencies that they answer; raises as :meth:`compliance`."""
-        grid = {"grid"} if self.follows(scenario) else set()
-        check_followable(self.scenario, scenario, self.names, unread={*_UNREAD, *grid})
+        refuse_unheld(self, scenario)
         band = frequencies(self.scenario.sweep)
         beyond = frequency[(frequency < band[0] / BEYOND) | (frequency > band[-1] * BEYOND)]
         if len(beyond):
@@ -347,7 +344,8 @@ def parametric_model(
     model = fem_model(own, mesh)
     names = tuple(t.name for t in model.operator.terms)
     for draw in given:
-        check_followable(own, draw, names, unread=_UNREAD)
+        if reason := unfollowed(own, draw, names):
+            raise ScenarioError(reason)
     found = [coefficients_of(names, draw) for draw in given]
     parts = Shelf(shelf.file.with_name(f"{key}-parts.sqlite"), "what is solved for the parametric model")
     around = grid_places(own, mesh)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
@@ -13,21 +12,22 @@ import numpy as np
 
 from ..accuracy.other_tissues import carried, probes, shortening, space_error
 from ..device import close_loop
-from ..errors import AccuracyWarning, DataError, ReductionError, ScenarioError
+from ..errors import AccuracyWarning, DataError, ReductionError
 from ..fem.reduction.affine import AffineReduced, Modes
 from ..ports import Port
-from ..scenario import Scenario, parse_scenario
-from ..scenario.load import read_overrides
+from ..scenario import Scenario
 from ..scenario.sweep import frequencies
 from ..store.record import dims, load, save
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix
 from ..typing import FloatArray
+from .engine import refuse_unheld
 from .fem import masked
 
-__all__ = ["SkinModel", "check_followable", "load_skin_model", "save_skin_model"]
+__all__ = ["SkinModel", "load_skin_model", "save_skin_model"]
 
-_MAY_CHANGE = {"tissues", "device", "name", "description"}
+# Keys in which a scenario may differ: terms follow them, or compliances do not follow from them.
+_MAY_CHANGE = ("tissues", "device", "name", "description", "rendering", "measurement", "sweep", "solver", "accuracy")
 BEYOND = 1.05  # ratio to the ends of the band up to which a model with unstable poles is trusted
 _OF_SPACE = ("reduction", "linear solve")  # sources of errors of a compliance; mesh and ends are told of G
 _BEYOND_BAND = "not estimated: frequencies lie outside the band that was solved; solve a wider one"
@@ -36,13 +36,11 @@ _NOT_AFFINE = "the bulk modulus is not a parameter of the reduced model; solve t
 
 @dataclass(frozen=True, eq=False)
 class SkinModel:
-    """A limb seen through its ports: ``reduced`` matrices, whose coefficients follow from ``scenario``.
+    """A limb seen through its ports, by the ``reduced`` matrices of the ``scenario`` that was solved: ``reduced.nc``.
 
-    ``core`` is how many of its directions, the first, were certified for the scenario that was ``solved``; the others
-    serve other moduli (:func:`.widened`), 0 where there are none. ``poles`` are what the sweep found for its
-    coefficients; without them each evaluation finds its own. ``errors`` are those of the solved compliance, then those
-    of its G by mesh and ends. ``solved`` is None where the scenario is the solved one. ``reduced.nc`` holds all of it,
-    in a few megabytes.
+    ``core`` is how many of its directions, the first, were certified for this scenario; the others serve other moduli
+    (:func:`.widened`), 0 where there are none. ``poles`` are what the sweep found. ``errors`` are those of the solved
+    compliance, then those of its G by mesh and ends.
     """
 
     kind: ClassVar[str] = "reduced model"
@@ -54,9 +52,24 @@ class SkinModel:
     poles: Modes | None = None
     core: int = 0
     errors: tuple[ErrorEstimate, ...] = ()
-    solved: Scenario | None = None
 
-    def compliance(self, frequency: FloatArray) -> Compliance:
+    @property
+    def name(self) -> str:
+        """See :class:`.Engine`."""
+        return "reduced model of a run"
+
+    def holds(self, scenario: Scenario) -> str:
+        """See :class:`.Engine`: other tissues (not their bulk moduli) and devices (not their places)."""
+        if reason := unfollowed(self.scenario, scenario, self.reduced.names):
+            return reason
+        if self.core or scenario.tissues == self.scenario.tissues:
+            return ""
+        return (
+            "tissues: this reduced model tells no error for other tissues; solve the scenario anew, which is then kept "
+            "with what other tissues ask for"
+        )
+
+    def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """Compliance of all ports at ``frequency`` (n,) [Hz] with its error; NaN for a point force under itself.
 
         Frequencies more than 5 % beyond the band are answered with an AccuracyWarning, and the error is unknown. Raises
@@ -65,9 +78,11 @@ class SkinModel:
         """
         if frequency.ndim != 1 or not len(frequency) or not np.all(np.isfinite(frequency) & (frequency >= 0)):
             raise DataError("frequency: expected a row of one or more, finite and not negative [Hz]; correct it")
+        refuse_unheld(self, scenario)
+        drawn, solved = self.reduced.at(scenario), scenario.tissues == self.scenario.tissues
         band = frequencies(self.scenario.sweep)
         beyond = frequency[(frequency < band.min() / BEYOND) | (frequency > band.max() * BEYOND)]
-        if len(beyond) and (count := self._drawn.negative_directions()):
+        if len(beyond) and (count := drawn.negative_directions()):
             raise ReductionError(
                 f"{beyond[0]:g} Hz is outside the band of this reduced model, {band.min():g} to {band.max():g} Hz, and "
                 f"the model has {count} unstable poles there: solve a wider band (sweep.f_min, sweep.f_max), or anew "
@@ -80,66 +95,48 @@ class SkinModel:
                 AccuracyWarning,
                 stacklevel=2,
             )
-        used = self._certified if self.solved is None else self._drawn
-        values = masked(self.poles.compliance(frequency) if self.poles else used.response(frequency), self.ports)
-        found = Compliance(frequency.copy(), values, self.ports, tuple(e for e in self.errors if e.source in _OF_SPACE))
+        if solved and self.poles:
+            values = self.poles.compliance(frequency)
+        else:
+            values = (self._certified(scenario) if solved else drawn).response(frequency)
+        errors = tuple(e for e in self.errors if e.source in _OF_SPACE)
+        found = Compliance(frequency.copy(), masked(values, self.ports), self.ports, errors)
         if len(beyond):
             return replace(found, errors=(ErrorEstimate("reduction", np.nan, _BEYOND_BAND),))
-        if self.solved is None:
+        if solved:
             return found
-        some, narrow = self._compared(found)
+        some, narrow = self._compared(found, scenario)
         error = space_error(some.frequency, *(c.block("point", "contact") for c in (some, narrow)))
         solves = (e for e in found.errors if e.source != "reduction")
         return replace(found, errors=(*solves, replace(error, per_pair=None)))
 
-    @cached_property
-    def _drawn(self) -> AffineReduced:
-        return self.reduced.at(self.scenario)
-
-    @property
-    def _certified(self) -> AffineReduced:
+    def _certified(self, scenario: Scenario) -> AffineReduced:
         """The model on the directions that were certified for what was solved."""
-        return self._drawn.part(slice(self.core or None))
+        return self.reduced.part(slice(self.core or None)).at(scenario)
 
-    def _compared(self, found: Compliance) -> tuple[Compliance, Compliance]:
+    def _compared(self, found: Compliance, scenario: Scenario) -> tuple[Compliance, Compliance]:
         """Some rows of ``found``, and the same by the certified directions alone."""
         rows = probes(len(found.frequency))
         some = replace(found, frequency=found.frequency[rows], values=found.values[rows], errors=())
-        return some, replace(some, values=masked(self._certified.compliance(some.frequency), self.ports))
+        narrow = self._certified(scenario).compliance(some.frequency)
+        return some, replace(some, values=masked(narrow, self.ports))
 
-    def transfer(self, frequency: FloatArray) -> TransferMatrix:
-        """G of the scenario's device at ``frequency`` (n,) [Hz], increasing; otherwise as :meth:`compliance`.
+    def transfer(self, frequency: FloatArray, scenario: Scenario | None = None) -> TransferMatrix:
+        """G at ``frequency`` (n,) [Hz], increasing, of the scenario solved or another; otherwise as :meth:`compliance`.
 
         For other tissues errors by mesh and ends are taken where waves were as long (:func:`.carried`).
         """
-        found = self.compliance(frequency)
-        g, mesh = close_loop(found, self.scenario.device), [e for e in self.errors if e.source not in _OF_SPACE]
-        if self.solved is None or any(not e.known for e in g.errors):
+        scenario = scenario or self.scenario
+        found = self.compliance(scenario, frequency)
+        g, mesh = close_loop(found, scenario.device), [e for e in self.errors if e.source not in _OF_SPACE]
+        if scenario.tissues == self.scenario.tissues or any(not e.known for e in g.errors):
             return replace(g, errors=(*mesh, *g.errors))
-        some, narrow = (close_loop(c, self.scenario.device) for c in self._compared(found))
+        some, narrow = (close_loop(c, scenario.device) for c in self._compared(found, scenario))
         space = space_error(some.frequency, some.values, narrow.values)
-        most, least = shortening(resolve_tissues(self.solved), resolve_tissues(self.scenario), frequency)
+        most, least = shortening(resolve_tissues(self.scenario), resolve_tissues(scenario), frequency)
         size = np.linalg.norm(g.values, axis=(1, 2))
         mesh = [carried(e, frequency, least if e.source == "truncation" else most, size) for e in mesh]
         return replace(g, errors=(*mesh, *(e for e in g.errors if e.source != "reduction"), space))
-
-    def changed(self, overrides: Sequence[str]) -> SkinModel:
-        """The model for ``key.path=value`` overrides of tissues (not their bulk moduli) and device (not its places).
-
-        Raises ScenarioError for a key that the reduced model cannot follow, and where it holds nothing to tell the
-        error of other tissues by.
-        """
-        after = parse_scenario(self.scenario.model_dump(mode="json"), changes=read_overrides(overrides))
-        check_followable(self.scenario, after, self.reduced.names)
-        old = self.solved or self.scenario
-        if old.tissues == after.tissues:
-            return replace(self, scenario=after, solved=None)
-        if not self.core:
-            raise ScenarioError(
-                "tissues: this reduced model tells no error for other tissues; solve the scenario anew, which is then "
-                "kept with what other tissues ask for"
-            )
-        return replace(self, scenario=after, poles=None, solved=old)
 
 
 def save_skin_model(path: Path, model: SkinModel) -> None:
@@ -152,20 +149,12 @@ def load_skin_model(path: str | Path) -> SkinModel:
     return load(path, SkinModel)
 
 
-def check_followable(before: Scenario, after: Scenario, terms: Sequence[str], *, unread: Collection[str] = ()) -> None:
-    """Raise ScenarioError with the sentence of :func:`unfollowed`."""
-    if reason := unfollowed(before, after, terms, unread=unread):
-        raise ScenarioError(reason)
-
-
-def unfollowed(before: Scenario, after: Scenario, terms: Sequence[str], *, unread: Collection[str] = ()) -> str:
+def unfollowed(before: Scenario, after: Scenario, terms: Sequence[str], *, grid: bool = False) -> str:
     """Reason that a reduced model of ``terms``, made for one scenario, cannot answer for the other; empty where it
-    can.
-
-    Keys that are ``unread`` by the caller may differ, too.
+    can. The ``grid`` may differ, too, where it can be read elsewhere.
     """
     for key in type(before).model_fields:
-        if key not in _MAY_CHANGE and key not in unread and getattr(before, key) != getattr(after, key):
+        if key not in _MAY_CHANGE and not (grid and key == "grid") and getattr(before, key) != getattr(after, key):
             return f"{key}: the reduced model holds for the old value only; solve the scenario anew"
     if _places(before) != _places(after):
         return "device: contacts and cones are part of the reduced model; solve the scenario anew"

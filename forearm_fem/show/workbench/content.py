@@ -12,6 +12,7 @@ import numpy as np
 
 from ... import __version__
 from ...accuracy.estimates import accuracy_verdict
+from ...engines.library import ArmLibrary
 from ...engines.simulation import simulate
 from ...engines.skin_model import load_skin_model
 from ...errors import DataError, GeometryError, ScenarioError
@@ -48,7 +49,7 @@ from .anywhere import Anywhere, anywhere_of, packed_anywhere
 from .field import Field, solved_field
 from .flat import between_points, flat_field
 from .packed import amplitudes_in_half_precision, in_half_precision, packed
-from .places import LibraryOfArm, Places, patch_field, places_of
+from .places import Places, patch_field, places_of
 
 FORMAT = 1  # of the content; the page's own files carry it too
 _ARMS = 8  # drawn arms that a page holds: 1.5 MB of the thesis' scene
@@ -102,7 +103,7 @@ def _anywhere(
 
 
 def library_content(
-    arm: LibraryOfArm, scenario: Scenario, stamp: str, progress: Progress | None = None, base: Path = Path()
+    arm: ArmLibrary, scenario: Scenario, stamp: str, progress: Progress | None = None, base: Path = Path()
 ) -> dict[str, Any]:
     """The page's content for an arm's library, whose actuators can be dragged; ``scenario`` is one on the same arm, its
     files seen from ``base``.
@@ -132,7 +133,7 @@ def library_content(
     }
 
 
-def _packed_places(places: Places, arm: LibraryOfArm, scenario: Scenario) -> dict[str, Any]:
+def _packed_places(places: Places, arm: ArmLibrary, scenario: Scenario) -> dict[str, Any]:
     layout, patch, near = layout_of(scenario), arm.scenario.library, places.near
     assert near is not None
     real = {k: packed(getattr(places, k), "f8") for k in ("xy", "flat", "position", "axis", "points", "inverse")}
