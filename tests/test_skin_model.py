@@ -11,6 +11,7 @@ from scenes import once
 from forearm_fem.accuracy.other_tissues import carried, shortening
 from forearm_fem.device import close_loop
 from forearm_fem.engines.fem import fem_model
+from forearm_fem.engines.simulation import simulate
 from forearm_fem.engines.skin_model import load_skin_model, save_skin_model
 from forearm_fem.errors import AccuracyWarning, DataError, ReductionError, ScenarioError
 from forearm_fem.fem.reduction.sweep import direct_sweep
@@ -33,6 +34,7 @@ SCENE = {
     "solver": {"discretisation_estimate": False},
     "sweep": {"f_min": 40.0, "f_max": 400.0},
 }  # fmt: skip
+SPACE = ("linear solve", "reduction")
 STIFFER = {"tissues.override.muscle.mu": 12000.0}
 
 
@@ -119,6 +121,16 @@ def test_errors_by_mesh_and_ends_are_those_where_waves_were_as_long():
     longer = shortening({"muscle": soft}, {"muscle": stiff}, f)[1]
     ends = carried(replace(mesh, source="truncation"), f, longer, np.ones(4))
     assert ends.per_frequency == pytest.approx((0.01 * 2**2, 0.01, 0.02, 0.03))
+
+
+def test_the_file_is_an_engine(solved):
+    """Another tissue through ``simulate``: the same G, and no source of error is forgotten on the way."""
+    model = load_skin_model(solved[0] / "reduced.nc")
+    model = replace(model, errors=(*model.errors[:2], ErrorEstimate("discretisation", 0.02, "told")))
+    stiffer = model.scenario.changed(STIFFER)
+    by_engine, own = simulate(stiffer, engine=model).transfer, model.transfer(solved[1].frequency, stiffer)
+    assert np.array_equal(by_engine.values, own.values)
+    assert {e.source for e in by_engine.errors} == {e.source for e in own.errors} == {*SPACE, "discretisation"}
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ class SkinModel:
         )
 
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
-        """Compliance of all ports at ``frequency`` (n,) [Hz] with its error; NaN for a point force under itself.
+        """Compliance of all ports at ``frequency`` (n,) [Hz] with its errors; NaN for a point force under itself.
 
         Frequencies more than 5 % beyond the band are answered with an AccuracyWarning, and the error is unknown. Raises
         ReductionError for them where the model has unstable poles, as it may for incompressible tissue; DataError for
@@ -99,16 +99,28 @@ class SkinModel:
             values = self.poles.compliance(frequency)
         else:
             values = (self._certified(scenario) if solved else drawn).response(frequency)
-        errors = tuple(e for e in self.errors if e.source in _OF_SPACE)
-        found = Compliance(frequency.copy(), masked(values, self.ports), self.ports, errors)
+        found = Compliance(frequency.copy(), masked(values, self.ports), self.ports)
+        space = [e for e in self.errors if e.source in _OF_SPACE]
         if len(beyond):
-            return replace(found, errors=(ErrorEstimate("reduction", np.nan, _BEYOND_BAND),))
-        if solved:
-            return found
-        some, narrow = self._compared(found, scenario)
-        error = space_error(some.frequency, *(c.block("point", "contact") for c in (some, narrow)))
-        solves = (e for e in found.errors if e.source != "reduction")
-        return replace(found, errors=(*solves, replace(error, per_pair=None)))
+            space = [ErrorEstimate("reduction", np.nan, _BEYOND_BAND)]
+        elif not solved:
+            some, narrow = self._compared(found, scenario)
+            error = space_error(some.frequency, *(c.block("point", "contact") for c in (some, narrow)))
+            space = [*(e for e in space if e.source != "reduction"), replace(error, per_pair=None)]
+        size = np.linalg.norm(found.block("point", "contact"), axis=(1, 2))
+        mesh = (replace(e, per_pair=None, together=None) for e in self._of_mesh(scenario, frequency, size))
+        return replace(found, errors=(*space, *mesh))
+
+    def _of_mesh(self, scenario: Scenario, frequency: FloatArray, size: FloatArray) -> list[ErrorEstimate]:
+        """Errors of G by mesh and ends: for other tissues those where waves were as long (:func:`.carried`).
+
+        ``size`` (n,) is that of the values at ``frequency``.
+        """
+        mesh = [e for e in self.errors if e.source not in _OF_SPACE]
+        if scenario.tissues == self.scenario.tissues:
+            return mesh
+        most, least = shortening(resolve_tissues(self.scenario), resolve_tissues(scenario), frequency)
+        return [carried(e, frequency, least if e.source == "truncation" else most, size) for e in mesh]
 
     def _certified(self, scenario: Scenario) -> AffineReduced:
         """The model on the directions that were certified for what was solved."""
@@ -124,19 +136,18 @@ class SkinModel:
     def transfer(self, frequency: FloatArray, scenario: Scenario | None = None) -> TransferMatrix:
         """G at ``frequency`` (n,) [Hz], increasing, of the scenario solved or another; otherwise as :meth:`compliance`.
 
-        For other tissues errors by mesh and ends are taken where waves were as long (:func:`.carried`).
+        Its errors are estimated of G itself.
         """
         scenario = scenario or self.scenario
         found = self.compliance(scenario, frequency)
-        g, mesh = close_loop(found, scenario.device), [e for e in self.errors if e.source not in _OF_SPACE]
-        if scenario.tissues == self.scenario.tissues or any(not e.known for e in g.errors):
-            return replace(g, errors=(*mesh, *g.errors))
-        some, narrow = (close_loop(c, scenario.device) for c in self._compared(found, scenario))
-        space = space_error(some.frequency, some.values, narrow.values)
-        most, least = shortening(resolve_tissues(self.scenario), resolve_tissues(scenario), frequency)
-        size = np.linalg.norm(g.values, axis=(1, 2))
-        mesh = [carried(e, frequency, least if e.source == "truncation" else most, size) for e in mesh]
-        return replace(g, errors=(*mesh, *(e for e in g.errors if e.source != "reduction"), space))
+        g = close_loop(found, scenario.device)
+        space = [e for e in g.errors if e.source in _OF_SPACE]
+        if scenario.tissues != self.scenario.tissues and all(e.known for e in space):
+            some, narrow = (close_loop(c, scenario.device) for c in self._compared(found, scenario))
+            error = space_error(some.frequency, some.values, narrow.values)
+            space = [*(e for e in space if e.source != "reduction"), error]
+        mesh = self._of_mesh(scenario, frequency, np.linalg.norm(g.values, axis=(1, 2)))
+        return replace(g, errors=(*mesh, *space))
 
 
 def save_skin_model(path: Path, model: SkinModel) -> None:

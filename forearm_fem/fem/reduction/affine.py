@@ -117,7 +117,7 @@ class AffineReduced:
     matrices: FloatArray = field(metadata=dims("term entry", name="upper", upper=True))
     functionals: FloatArray = field(metadata=dims("row port", name="functional"))
     shares: FloatArray = field(metadata=dims("port", name="share"))
-    places: FloatArray = field(default_factory=_none, repr=False, metadata=dims("row place", name="place"))
+    places: FloatArray = field(default_factory=_none, repr=False, metadata=dims("row place"))
     coefficients: tuple[Coefficient, ...] = field(default=(), metadata=UNKEPT)
     basis: Basis = field(default=Basis(), repr=False, metadata=UNKEPT)
     low: FloatArray = field(default_factory=_none, repr=False, metadata=UNKEPT)
