@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from forearm_fem.engines.fem import FemSolution
-from forearm_fem.engines.solved import _Store, field_modes
+from forearm_fem.engines.solved import field_modes
 from forearm_fem.errors import SolverError
 from forearm_fem.fem.linear import direct
 from forearm_fem.fem.linear.factor import available_backends
@@ -108,7 +108,7 @@ def test_the_solver_that_was_used_is_on_record(finished):
 def test_a_snapshot_that_was_cut_off_is_none(tmp_path, monkeypatch, left):
     """A resumed solve is that of one go to the bit, so what is kept has all its digits."""
     monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))
-    store = Snapshots(_Store("a").parts)
+    store = Snapshots(Shelf(tmp_path / "a-parts.sqlite"))
     random = np.random.default_rng(0)
     series = tuple(random.normal(size=(20_000, 2)) + 1j for _ in range(2))
     store.put(Expansion(50.0, series, 1e-9, 1e-10))

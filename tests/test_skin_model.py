@@ -12,13 +12,14 @@ from forearm_fem.accuracy.other_tissues import carried, shortening
 from forearm_fem.device import close_loop
 from forearm_fem.engines.fem import fem_model
 from forearm_fem.engines.simulation import simulate
-from forearm_fem.engines.skin_model import load_skin_model, save_skin_model
+from forearm_fem.engines.skin_model import load_skin_model
 from forearm_fem.errors import AccuracyWarning, DataError, ReductionError, ScenarioError
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.mesh.files import read_mesh
 from forearm_fem.questions.run import Run, run_solve
 from forearm_fem.results.files import read_transfer
 from forearm_fem.scenario import parse_scenario
+from forearm_fem.store.record import save
 from forearm_fem.tissue import KelvinVoigt, Tissue
 from forearm_fem.transfer import Compliance, ErrorEstimate, band_error, relative_error, total_error
 
@@ -158,7 +159,7 @@ def test_unstable_model_is_refused_outside_its_band(solved, tmp_path):
         assert np.isfinite(model.transfer(np.array([5.0, 100.0, 900.0])).values).all()  # stable
     matrices = model.reduced.matrices.copy()
     matrices[model.reduced.names.index("compression")][-1, -1] -= 10 * np.abs(matrices).max()
-    save_skin_model(tmp_path / "bad.nc", replace(model, reduced=replace(model.reduced, matrices=matrices)))
+    save(tmp_path / "bad.nc", replace(model, reduced=replace(model.reduced, matrices=matrices)))
     bad = load_skin_model(tmp_path / "bad.nc")
     bad.transfer(np.array([39.0, 200.0, 410.0]))
     for f in (30.0, 450.0):

@@ -17,14 +17,14 @@ from ..fem.reduction.affine import AffineReduced, Modes
 from ..ports import Port
 from ..scenario import Scenario
 from ..scenario.sweep import frequencies
-from ..store.record import dims, load, save
+from ..store.record import dims, load
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix
 from ..typing import FloatArray
 from .engine import refuse_unheld
 from .fem import masked
 
-__all__ = ["SkinModel", "load_skin_model", "save_skin_model"]
+__all__ = ["SkinModel", "load_skin_model"]
 
 # Keys in which a scenario may differ: terms follow them, or compliances do not follow from them.
 _MAY_CHANGE = ("tissues", "device", "name", "description", "rendering", "measurement", "sweep", "solver", "accuracy")
@@ -148,11 +148,6 @@ class SkinModel:
             space = [*(e for e in space if e.source != "reduction"), error]
         mesh = self._of_mesh(scenario, frequency, np.linalg.norm(g.values, axis=(1, 2)))
         return replace(g, errors=(*mesh, *space))
-
-
-def save_skin_model(path: Path, model: SkinModel) -> None:
-    """Write ``reduced.nc``, whole or not at all."""
-    save(path, model)
 
 
 def load_skin_model(path: str | Path) -> SkinModel:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar
@@ -101,14 +100,16 @@ def solve(
     scenario: Scenario, mesh: TissueMesh, frequency: FloatArray, *, base: Path, progress: Progress | None = None
 ) -> Solved:
     """Solve what is not in the cache yet; each finished part is stored at once."""
-    store = _Store(solve_key(scenario, mesh, frequency))
-    if (main := store.main()) is None:
+    home, key = default_cache_dir() / "solves", solve_key(scenario, mesh, frequency)
+    shelf, parts = Shelf(home / f"{key}.sqlite"), Shelf(home / f"{key}-parts.sqlite", "an expansion")
+    if (main := shelf.record("main", Solved)) is None:
         tolerance = reduction_tolerance(scenario)
         solution = solve_fem(
-            scenario, mesh, frequency, progress=progress, kept=store.parts, tolerance=tolerance, widen=True
+            scenario, mesh, frequency, progress=progress, kept=parts, tolerance=tolerance, widen=True
         )
         main = _packed(scenario, solution, frequency)
-        store.keep_main(main)
+        if shelf.keep("main", main):
+            parts.remove()
     # what freed ends do not show: pressure hardly feels dashpots of shear, so that a slab's ends are as good as free
     unseen = main.freed is None or isinstance(scenario.limb, SlabLimb)
     cut = unseen and len(mesh.facets.get("end", ())) > 0
@@ -116,14 +117,15 @@ def solve(
         return replace(main, unknown=_missing("solver.discretisation_estimate = false; set it to true", cut))
     try:
         second = second_mesh(scenario, mesh, base=base)
-        coarse = store.compliance(
+        coarse = shelf.once(
             f"second-{second.label}",
+            Compliance,
             lambda: second_compliance(second, frequency, progress=within(progress, "coarser mesh")),
         )
         clamped = None
         if cut:
             tell(progress, "truncation estimate", 0, 1)
-            clamped = store.compliance(f"other_ends-{second.label}", lambda: other_ends(second, frequency))
+            clamped = shelf.once(f"other_ends-{second.label}", Compliance, lambda: other_ends(second, frequency))
             tell(progress, "truncation estimate", 1, 1)
     except ForearmError as problem:
         return replace(main, unknown=_missing(problem, cut))
@@ -195,24 +197,3 @@ def field_modes(solution: FemSolution) -> FloatArray:
     chosen = csr_array(eye_array(model.space.n_nodes, format="csr"))[vertices]
     shown = kron(vstack([chosen, places]), eye_array(3), format="csr") @ model.constraints.transform
     return reduced.basis.seen_by(csr_array(shown)).reshape(-1, 3, reduced.size)
-
-
-class _Store:
-    """Store of one solve's finished parts, and of the expansions of its main part on a shelf of its own."""
-
-    def __init__(self, key: str) -> None:
-        home = default_cache_dir() / "solves"
-        self._shelf, self.parts = Shelf(home / f"{key}.sqlite"), Shelf(home / f"{key}-parts.sqlite", "an expansion")
-
-    def compliance(self, name: str, make: Callable[[], Compliance]) -> Compliance:
-        """The compliance kept under a name, or a new one, kept."""
-        return self._shelf.once(name, Compliance, make)
-
-    def main(self) -> Solved | None:
-        """The main part, or None."""
-        return self._shelf.record("main", Solved)
-
-    def keep_main(self, solved: Solved) -> None:
-        """Keep the main part, then drop the expansions it came from."""
-        if self._shelf.keep("main", solved):
-            self.parts.remove()
