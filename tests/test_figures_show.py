@@ -173,7 +173,10 @@ def test_a_film_has_all_its_frames(run: Results, tmp_path: Path) -> None:
                    progress=lambda *step: told.append(step))  # fmt: skip
     with Image.open(path) as film:
         assert getattr(film, "n_frames", 1) == 3
+        right = np.asarray(film.convert("RGB"), dtype=int)[24:96, 139:158]
     assert told == [("frames", k, 3) for k in (1, 2, 3)]
+    assert (right[:, :, 0] - right[:, :, 2]).max() > 60  # red and blue of the colour bar
+    assert (right[:, :, 2] - right[:, :, 0]).max() > 60
 
 
 def test_mp4_names_its_extra(run: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,6 +23,7 @@ from forearm_fem.results.files import read_compliance, read_transfer
 from forearm_fem.results.run import read_run
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.sweep import ReducedSolve
+from forearm_fem.store.shelf import Shelf
 from forearm_fem.transfer import Compliance
 from forearm_fem.verification.scenes import held_block
 
@@ -105,10 +106,9 @@ def test_the_solver_that_was_used_is_on_record(finished):
 
 
 @pytest.mark.parametrize("left", [0, 1000, 100_000])
-def test_a_snapshot_that_was_cut_off_is_none(tmp_path, monkeypatch, left):
+def test_a_snapshot_that_was_cut_off_is_none(tmp_path, left):
     """A resumed solve is that of one go to the bit, so what is kept has all its digits."""
-    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))
-    store = Snapshots(Shelf(tmp_path / "a-parts.sqlite"))
+    store = Snapshots(Shelf(tmp_path / "parts.sqlite"))
     random = np.random.default_rng(0)
     series = tuple(random.normal(size=(20_000, 2)) + 1j for _ in range(2))
     store.put(Expansion(50.0, series, 1e-9, 1e-10))
@@ -193,7 +193,7 @@ def test_an_interrupted_space_about_a_rate_goes_on_where_it_stopped(monkeypatch,
     """The same G as without the interruption, and only what was missing is solved again."""
     counted, original = [], krylov.RateSpace.more
     monkeypatch.setattr(krylov.RateSpace, "more", lambda self, n: (counted.append(n), original(self, n))[1])
-    resumed = interrupted_then_resumed(monkeypatch, tmp_path, "derivatives", 10)[2]
+    resumed = interrupted_then_resumed(monkeypatch, tmp_path, "reduced model", 10)[2]
     whole = read_transfer(finished / "transfer.nc")
     derivatives = json.loads((finished / "run.json").read_text())["solution"]["derivatives"]
     assert sum(counted) == derivatives > 10

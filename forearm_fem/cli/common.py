@@ -143,7 +143,7 @@ def job(folder: Path | None = None, *rooms: str, sums: bool = True) -> Iterator[
         held.enter_context(noted())
         display = held.enter_context(Display())
         for k, room in enumerate(rooms):
-            display("libraries", k, len(rooms))
+            display("loading", k, len(rooms))
             import_module(f"forearm_fem.{room}")
         yield display
 
