@@ -282,6 +282,8 @@ def test_a_dead_channel_is_said_when_two_matrices_are_compared(dead: Any, says: 
         (lambda: Scenario(accuracy=7), "Scenario: accuracy: expected 1e-05 to 0.5, got 7"),
         (lambda: Scenario(device={"spacng": 0.04}), "Scenario: device.spacng: unknown key; did you mean "
                                                     "device.spacing?"),
+        (lambda: Scenario(tissues={"muscle": {"mu": 9e3}}), "Scenario: tissues.muscle: unknown key; did you mean "
+                                                            "tissues.override.muscle?"),
         (lambda: Scenario(limb={"length": "l"}), "Scenario: limb.length: input should be a valid number, got 'l'"),
         (lambda: device_of(spacing=-1), "device: spacing: expected 0.0002 to 0.3 m, got -1"),
         (lambda: device_of(**{"spacng": 0.04}), "device: spacng: unknown key; did you mean spacing?"),

@@ -26,7 +26,7 @@ from forearm_fem.show.film import (
     standing,
     wavefield,
 )
-from forearm_fem.show.motion import View, motion, round_down_125
+from forearm_fem.show.motion import View, default_times, focus_time, motion, round_down_125
 from forearm_fem.show.scene import plotter_for
 
 pytestmark = pytest.mark.drawn
@@ -132,6 +132,17 @@ def test_a_picture_shows_the_wave_and_where_names_stand(run: Results) -> None:
     at = {str(n): p for n, p in zip(now.name.values, now["at"].values, strict=True)}
     assert at["1"][0] < at["4"][0] < at["7"][0]  # from above x goes to the right and y upwards
     assert at["1"][1] > at["2"][1] > at["3"][1]
+
+
+def test_the_picture_is_of_the_moment_at_which_the_target_moves_most(run: Results) -> None:
+    """It was of the wavelet's centre, at which little had arrived."""
+    view = View("combination", "5")
+    at = focus_time(run, view)
+    assert abs(at) > 1e-3  # the inverse filter's focus is the wavelet's centre
+    moved, spot = motion(run, view, np.append(default_times(), at)), nearest(run, "5")
+    there = np.array([moved.displacement(run.wavefield.modes[[spot]], k)[0, 2] for k in range(len(moved.steps))])
+    assert abs(there[-1]) > 0.98 * np.abs(there).max()  # the nearest node is not the point itself
+    assert f"t = {1e3 * at:+.1f} ms" in wavefield(run, view=view, look=Look(size=SMALL)).words
 
 
 @pytest.mark.parametrize("cut", ["", "xy"])

@@ -14,7 +14,16 @@ from forearm_fem.accuracy.estimates import moved_by_stretch
 from forearm_fem.device import close_loop
 from forearm_fem.engines.fem import fem_model
 from forearm_fem.engines.layered import flat_layers
-from forearm_fem.engines.library import ArmLibrary, arm, is_library, load_library, make, make_library, save_library, side
+from forearm_fem.engines.library import (
+    ArmLibrary,
+    arm,
+    is_library,
+    load_library,
+    make,
+    make_library,
+    save_library,
+    side,
+)
 from forearm_fem.engines.library.arm import _Asked, _Part, library_skin
 from forearm_fem.engines.library.between import Lattice, Prior, Shape, shape_of
 from forearm_fem.engines.library.limb import constrained_compliance, deviation_held, modal_compliance

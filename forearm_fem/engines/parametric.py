@@ -12,8 +12,9 @@ from scipy.stats import qmc
 
 from .. import __version__
 from ..accuracy.estimates import PairErrors, raised_to_row_column_mean
-from ..errors import ReductionError, ScenarioError
+from ..errors import GeometryError, ReductionError, ScenarioError
 from ..fem.assembly.model import readings
+from ..fem.assembly.thickness import follows_thickness, motion_of
 from ..fem.kernels.compiled import freed_memory_kept
 from ..fem.reduction.affine import AffineReduced, coefficients_of
 from ..fem.reduction.parametric_greedy import Growth, Piece, TrialSolve, piece_at, united_model
@@ -21,6 +22,7 @@ from ..fem.reduction.per_query_basis import FIRST, Summed, spanned
 from ..fem.reduction.rational import chebyshev_frequencies, rational
 from ..geometry.cache import cached_mesh
 from ..geometry.device.place import GridPlaces, grid_places
+from ..geometry.limb.thickness import stretched, stretches
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port
 from ..progress import Progress, tell
@@ -48,6 +50,7 @@ _ROUGHER = 2  # degrees of the polynomials that a moved grid is read by: what on
 _POOL = 48  # draws that a model is made from
 _TYPICAL = 100.0  # Hz at which springpots are as stiff as the scenario's tissue
 _MIDDLE = 0.5
+_OF_THICKNESS = Growth(solves=12, checks=4, states=80)  # effort where arms differ in thickness, too
 
 
 @dataclass(frozen=True)
@@ -55,27 +58,33 @@ class Ranges:
     """Ranges of arms around a scenario: uniform in the logarithm, tension uniform.
 
     ``moduli`` multiplies or divides mu and eta of each soft tissue (a springpot's size at 100 Hz); ``tension`` [N/m];
-    ``laws`` in turn, whose classes say what is near to the scenario's.
+    ``laws`` in turn, whose classes say what is near to the scenario's; ``thickness`` multiplies or divides that of each
+    layer.
     """
 
     moduli: float = 2.0
     tension: tuple[float, float] = (0.0, 92.0)
     laws: tuple[str, ...] = ("kelvin-voigt", "zener", "springpot")
+    thickness: float = 1.0
 
     def draws(self, scenario: Scenario, count: int, *, seed: int = 0) -> tuple[Scenario, ...]:
         """``count`` arms by a Latin hypercube over all inputs."""
         names = soft_tissues(scenario)
-        places = qmc.LatinHypercube(3 * len(names) + 1, rng=seed).random(count)
+        layers = len(getattr(scenario.limb, "layers", ())) if self.thickness != 1 else 0
+        places = qmc.LatinHypercube(3 * len(names) + 1 + layers, rng=seed).random(count)
         return tuple(self._draw(scenario, names, self.laws[i % len(self.laws)], p) for i, p in enumerate(places))
 
     def _draw(self, scenario: Scenario, names: Sequence[str], law: str, places: FloatArray) -> Scenario:
         tissues, data = resolve_tissues(scenario), scenario.model_dump(mode="json", exclude_none=True)
-        for name, place in zip(names, places[:-1].reshape(-1, 3), strict=True):
+        last = 3 * len(names)
+        for name, place in zip(names, places[:last].reshape(-1, 3), strict=True):
             kept = {k: v for k, v in data["tissues"]["override"].get(name, {}).items() if k in ("density", "bulk")}
             stiff, viscous = self.moduli ** (2 * place[:2] - 1)
             near = law_class(law).near(tissues[name].modulus, 2 * np.pi * _TYPICAL, stiff, viscous, place[2])
             data["tissues"]["override"][name] = {**kept, **near.stated(law)}
-        data["tissues"]["membrane"]["tension"] = float(np.interp(places[-1], [0, 1], self.tension))
+        data["tissues"]["membrane"]["tension"] = float(np.interp(places[last], [0, 1], self.tension))
+        for layer, place in zip(data["limb"].get("layers", ()), places[last + 1 :], strict=False):
+            layer["thickness"] *= self.thickness ** (2 * place - 1)
         return parse_scenario(data)
 
 
@@ -90,7 +99,9 @@ class ParametricModel:
 
     ``pieces`` are the reduced models of the parts of the band. ``checks`` are comparisons with direct solves that had
     no part in making them; ``factor`` is what their estimates were too small by. ``around`` are the places where points
-    of the grid can be read, None where they stay where they are. It is kept in the cache as it stands here.
+    of the grid can be read, None where they stay where they are. ``thickness`` [m] are the least and the largest of
+    each layer that it was made for, then of all together; empty where layers stay as they are. It is
+    kept in the cache as it stands here.
     """
 
     kind: ClassVar[str] = "parametric model"
@@ -103,6 +114,7 @@ class ParametricModel:
     checks: tuple[TrialSolve, ...]
     solves: int
     around: GridPlaces | None = None
+    thickness: tuple[tuple[float, float], ...] = ()
 
     @property
     def name(self) -> str:
@@ -111,7 +123,9 @@ class ParametricModel:
 
     def holds(self, scenario: Scenario) -> str:
         """See :class:`.Engine`: scenarios that differ in what the model's terms can follow."""
-        return unfollowed(self.scenario, scenario, self.names, grid=self.follows(scenario))
+        grid, limb = self.follows(scenario), self.stretches(scenario)
+        unread = {key for key, may in (("grid", grid), ("limb", limb)) if may}
+        return unfollowed(self.scenario, scenario, self.names, unread=unread)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -130,17 +144,30 @@ class ParametricModel:
 
     def follows(self, scenario: Scenario) -> bool:
         """True if the grid of ``scenario`` can be read where it lies."""
-        if scenario.grid.direction != self.scenario.grid.direction:
+        return self._reads_own(scenario) or (self.around is not None and self.around.hold(scenario))
+
+    def _reads_own(self, scenario: Scenario) -> bool:
+        """True if the grid of ``scenario`` is the model's own."""
+        mine, its = self.scenario.grid, scenario.grid
+        return its.direction == mine.direction and its.places == mine.places
+
+    def stretches(self, scenario: Scenario) -> bool:
+        """True if the layers of ``scenario`` are as thick as those of some arm that the model was made for, or as the
+        scene's."""
+        if scenario.limb == self.scenario.limb:
+            return True
+        if not self.thickness or stretches(self.scenario.limb, scenario.limb) is None:
             return False
-        own = scenario.grid.places == self.scenario.grid.places
-        return own or (self.around is not None and self.around.hold(scenario))
+        own = zip(_thicknesses(scenario), self.thickness, strict=True)
+        return all(a / BEYOND <= t <= b * BEYOND for t, (a, b) in own)
 
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """Compliance of all ports for a draw, with the error of the reduction stated for it.
 
         ``scenario`` may differ from the model's own in tissues (not their bulk moduli), in membrane and tape as far as
-        the model has terms for them, in where the grid lies by some millimetres (:meth:`follows`), in the device but
-        for its contacts, and in what compliances do not follow from. Ports are named and placed as the model's own.
+        the model has terms for them, in its layers' thicknesses (:meth:`stretches`), in where the grid lies by some
+        millimetres (:meth:`follows`), in the device but for its contacts, and in what compliances do not follow from.
+        Ports are named and placed as the model's own.
         Raises ScenarioError for anything else and ReductionError for frequencies more than 5 % beyond the band.
         """
         return self.answer(scenario, frequency)[0]
@@ -181,19 +208,20 @@ class ParametricModel:
     def _drawn(self, piece: Piece, scenario: Scenario) -> tuple[Piece, AffineReduced]:
         """The models of a ``piece`` with the draw's coefficients and with its points where its grid lies, and the whole
         one with points read by polynomials of two degrees less, which tells what these err by."""
-        whole, core = (m.at(scenario) for m in (piece.whole, piece.core))
-        if self.around is not None and scenario.grid.places != self.scenario.grid.places:
-            degree = self.around.count - 1
+        whole, core = (m.at(scenario, self.scenario.limb) for m in (piece.whole, piece.core))
+        if self.around is not None and not self._reads_own(scenario):
+            degree, above = self.around.count - 1, self.around.turned and scenario.grid.direction == "vertical"
             shares, rougher = (self.around.shares(scenario, d) for d in (degree, degree - _ROUGHER))
-            rough = self._moved(whole, rougher)
-            return replace(piece, whole=self._moved(whole, shares), core=self._moved(core, shares)), rough
+            rough = self._moved(whole, rougher, above)
+            return replace(piece, whole=self._moved(whole, shares, above), core=self._moved(core, shares, above)), rough
         return replace(piece, whole=whole, core=core), whole
 
-    def _moved(self, reduced: AffineReduced, shares: FloatArray) -> AffineReduced:
-        """The model whose points read ``shares`` (n_point, k) of the k places around each."""
+    def _moved(self, reduced: AffineReduced, shares: FloatArray, above: bool) -> AffineReduced:
+        """The model whose points read ``shares`` (n_point, k) of the k places around each, along the normals or from
+        ``above``."""
         points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
         functionals = reduced.functionals.copy()
-        places = reduced.places.reshape(reduced.size, *shares.shape)
+        places = reduced.places.reshape(reduced.size, -1, *shares.shape)[:, int(above)]
         functionals[:, points] = np.einsum("rpk,pk->rp", places, shares)
         return replace(reduced, functionals=functionals)
 
@@ -328,35 +356,60 @@ def parametric_model(
         raise ScenarioError(
             "engine: a parametric model needs engine = 'fem'; the layered model solves each draw itself"
         )
-    growth = growth or Growth()
     given = tuple(draws) if draws is not None else (ranges or Ranges()).draws(scenario, _POOL)
+    growth = growth or (Growth() if all(draw.limb == scenario.limb for draw in given) else _OF_THICKNESS)
     if not given:
         raise ScenarioError("a parametric model needs at least one draw to be made from; give some, or ranges")
     own = _with_all_sheets(scenario, given)
     tell(progress, "mesh", 0, 0)
     mesh, band = mesh or cached_mesh(own, base=Path(base), progress=progress), frequencies(own.sweep)
-    tissues = [draw.tissues.model_dump(mode="json") for draw in given]
+    tissues = [(draw.tissues.model_dump(mode="json"), draw.limb.model_dump(mode="json")) for draw in given]
     key = digest_of([__version__, solve_key(own, mesh, band), tissues, astuple(growth)])[:32]
     shelf = Shelf(default_cache_dir() / "parametric" / f"{key}.sqlite", "the parametric model")
     if (kept := shelf.record(_MODEL, ParametricModel)) is not None:
         return kept
     tell(progress, "matrices", 0, 0)
-    model = fem_model(own, mesh)
+    given = tuple(draw for draw in given if not _too_thick(own, draw, mesh))
+    if not given:
+        raise ScenarioError("limb.layers: no draw leaves enough of the core of the scene's mesh; give thinner ones")
+    motion = motion_of(mesh, own.limb, [draw.limb for draw in given])
+    model = fem_model(own, mesh if motion is None else motion.mesh, motion=motion)
     names = tuple(t.name for t in model.operator.terms)
+    moves = follows_thickness(names)
     for draw in given:
-        if reason := unfollowed(own, draw, names):
+        if reason := unfollowed(own, draw, names, unread=("limb",) if moves else ()):
             raise ScenarioError(reason)
-    found = [coefficients_of(names, draw) for draw in given]
+    found = [coefficients_of(names, draw, own.limb) for draw in given]
     parts = Shelf(shelf.file.with_name(f"{key}-parts.sqlite"), "what is solved for the parametric model")
     around = grid_places(own, mesh)
     read = readings(model, around[1] if around else ())
     with freed_memory_kept():
         united = united_model(model, found, band, own.solver, growth, parts, progress, read)
-    solves = 1 + growth.solves + growth.checks
-    made = ParametricModel(own, model.ports, *united, solves, around[0] if around else None)
+    thickness = tuple((min(t), max(t)) for t in zip(*(_thicknesses(d) for d in (own, *given)), strict=True))
+    made = ParametricModel(
+        own, model.ports, *united, 1 + growth.solves + growth.checks, around[0] if around else None,
+        thickness if moves else (),
+    )  # fmt: skip
     if shelf.keep(_MODEL, made):
         parts.remove()
     return made
+
+
+def _thicknesses(scenario: Scenario) -> tuple[float, ...]:
+    """Of each layer [m], then of all together."""
+    found = tuple(layer.thickness for layer in getattr(scenario.limb, "layers", ()))
+    return (*found, sum(found))
+
+
+def _too_thick(own: Scenario, draw: Scenario, mesh: TissueMesh) -> bool:
+    """True if layers leave too little of the core of the ``mesh``."""
+    if draw.limb == own.limb or stretches(own.limb, draw.limb) is None:
+        return False
+    try:
+        stretched(mesh, own.limb, draw.limb)
+    except GeometryError:
+        return True
+    return False
 
 
 def _with_all_sheets(scenario: Scenario, draws: Sequence[Scenario]) -> Scenario:

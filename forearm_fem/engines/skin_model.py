@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar
@@ -155,12 +155,12 @@ def load_skin_model(path: str | Path) -> SkinModel:
     return load(path, SkinModel)
 
 
-def unfollowed(before: Scenario, after: Scenario, terms: Sequence[str], *, grid: bool = False) -> str:
+def unfollowed(before: Scenario, after: Scenario, terms: Sequence[str], *, unread: Collection[str] = ()) -> str:
     """Reason that a reduced model of ``terms``, made for one scenario, cannot answer for the other; empty where it
-    can. The ``grid`` may differ, too, where it can be read elsewhere.
+    can. Keys that are ``unread`` by the caller may differ, too.
     """
     for key in type(before).model_fields:
-        if key not in _MAY_CHANGE and not (grid and key == "grid") and getattr(before, key) != getattr(after, key):
+        if key not in _MAY_CHANGE and key not in unread and getattr(before, key) != getattr(after, key):
             return f"{key}: the reduced model holds for the old value only; solve the scenario anew"
     if _places(before) != _places(after):
         return "device: contacts and cones are part of the reduced model; solve the scenario anew"

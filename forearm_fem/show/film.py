@@ -26,7 +26,7 @@ from ..progress import Progress, tell
 from ..store.folder import atomic_path
 from ..typing import FloatArray, IntArray
 from .data import Results
-from .motion import Motion, View, default_times, motion, round_down_125, shown_values
+from .motion import Motion, View, default_times, focus_time, motion, round_down_125, shown_values
 from .scene import (
     FONT,
     MM,
@@ -285,16 +285,16 @@ def _aim(plotter: Any, results: Results, look: Look) -> None:
 
 
 def wavefield(
-    results: Results | str | Path, *, view: View | None = None, look: Look | None = None, at: float = 0.0
+    results: Results | str | Path, *, view: View | None = None, look: Look | None = None, at: float | None = None
 ) -> xr.Dataset:
     """The skin at the moment of focus: a ``picture`` (row, column, rgb), and where names stand ``at`` on it [pixels].
 
     Attributes: the ``words`` that belong to it, the ``limit`` of its colours, whether some skin moves more. ``at`` is
-    another instant [s], or at a frequency the phase [rad]. Off-screen; raises DataError for what the results do not
-    hold and ForearmError where VTK cannot draw.
+    another instant [s] than that at which the target moves most, or at a frequency the phase [rad] (default 0).
+    Off-screen; raises DataError for what the results do not hold and ForearmError where VTK cannot draw.
     """
     found, view, look = _given(results, view, look or Look(size=(2400, 1500)))
-    moved = motion(found, view, np.array([at]))
+    moved = motion(found, view, np.array([focus_time(found, view) if at is None else at]))
     with plotter_for(look.size) as plotter:
         stage = staged(found, plotter, moved, replace(look, bare=True), motion(found, view))
         picture, corner = trimmed(np.array(plotter.screenshot(None, return_img=True)))

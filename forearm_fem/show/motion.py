@@ -92,6 +92,16 @@ def default_times() -> FloatArray:
     return np.asarray(np.arange(-24, 36) * 0.5e-3, dtype=np.float64)
 
 
+def focus_time(results: Results, view: View) -> float:
+    """The instant [s] at which the target moves most; 0 for a view at a frequency."""
+    if view.frequency is not None or not results.has("displacements.nc"):
+        return 0.0
+    check_view(results, view)
+    moved = results.displacements
+    m, t = moved.methods.index(view.method), moved.targets.index(view.target)
+    return float(moved.time[np.argmax(np.abs(moved.values[m, t, moved.channels.index(view.target)]))])
+
+
 def check_view(results: Results, view: View) -> None:
     """Raise DataError for a view that the results cannot give."""
     if not results.has_field:

@@ -20,7 +20,9 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from ...geometry.limb.thickness import stretches
 from ...scenario import Scenario
+from ...scenario.limb import Limb
 from ...store.record import UNKEPT, dims
 from ...store.shelf import Shelf
 from ...tissue import resolve_tissues
@@ -35,6 +37,7 @@ from ..assembly.coefficients import (
 )
 from ..assembly.model import ForearmModel
 from ..assembly.operator import AffineOperator
+from ..assembly.thickness import follows_thickness
 from .basis import Basis, Columns, inverse_or_zero, orthonormal_extension, real_columns
 from .rational import chebyshev_frequencies
 
@@ -135,9 +138,9 @@ class AffineReduced:
         """Dimension r of the reduced space."""
         return len(self.functionals)
 
-    def at(self, scenario: Scenario) -> Self:
-        """The model with the coefficients that ``scenario`` gives its terms."""
-        return replace(self, coefficients=coefficients_of(self.names, scenario))
+    def at(self, scenario: Scenario, limb: Limb | None = None) -> Self:
+        """The model with the coefficients that ``scenario`` gives its terms (:func:`coefficients_of`)."""
+        return replace(self, coefficients=coefficients_of(self.names, scenario, limb))
 
     def changed(self, coefficients: Mapping[str, Coefficient]) -> Self:
         """The same space with other coefficients for some terms, such as "shear muscle".
@@ -280,10 +283,12 @@ class AffineReduced:
 _GROWN = ("matrices", "functionals", "coupling")
 
 
-def coefficients_of(names: Sequence[str], scenario: Scenario) -> tuple[Coefficient, ...]:
-    """Coefficients of the terms ``names`` in ``scenario``."""
+def coefficients_of(names: Sequence[str], scenario: Scenario, limb: Limb | None = None) -> tuple[Coefficient, ...]:
+    """Coefficients of the terms ``names`` in ``scenario``, whose layers may be of other thicknesses than the ``limb``
+    that the terms are of."""
     tissues, sheets = resolve_tissues(scenario), scenario.tissues
-    return tuple(term_coefficient(n, tissues, scenario.supports, sheets.membrane, sheets.patch) for n in names)
+    found = (stretches(limb, scenario.limb) if limb is not None else None) or {}
+    return tuple(term_coefficient(n, tissues, scenario.supports, sheets.membrane, sheets.patch, found) for n in names)
 
 
 def _static(coefficient: Coefficient) -> float:
@@ -380,7 +385,12 @@ def condensed(coupling: FloatArray, storage: FloatArray) -> FloatArray:
 
 
 def compressible(operator: AffineOperator) -> bool:
-    """True if all pressures compress something: where tissue is incompressible their energy says nothing of them."""
+    """True if all pressures compress something: where tissue is incompressible their energy says nothing of them.
+
+    Nor does it where layers change their thickness, and pressures their divergences.
+    """
+    if follows_thickness([t.name for t in operator.terms]):
+        return False
     storage = next(t for t in operator.terms if t.name == _STORAGE)
     return bool((operator.term_matrix(storage).diagonal()[operator.n_displacements :] < 0).all())
 
