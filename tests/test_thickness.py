@@ -8,10 +8,10 @@ from scipy.sparse import csr_array, diags
 
 from forearm_fem.engines.fem import fem_model
 from forearm_fem.engines.parametric import Ranges, parametric_model
-from forearm_fem.engines.skin_model import coefficients_of
 from forearm_fem.errors import GeometryError
 from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.assembly.thickness import motion_of
+from forearm_fem.fem.reduction.affine import coefficients_of
 from forearm_fem.fem.reduction.parametric_greedy import Growth
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.cache import cached_mesh
