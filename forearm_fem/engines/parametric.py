@@ -24,6 +24,7 @@ from ..geometry.cache import cached_mesh
 from ..geometry.device.place import GridPlaces, grid_places
 from ..geometry.limb.thickness import stretched, stretches
 from ..geometry.mesh.tissue_mesh import TissueMesh
+from ..laws import law as law_class
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
@@ -32,12 +33,10 @@ from ..scenario.sweep import frequencies
 from ..store.record import dims
 from ..store.shelf import Shelf
 from ..store.text import digest_of
-from ..tissue import law as law_class
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray
 from ..user_cache import default_cache_dir
-from .engine import refuse_unheld
 from .fem import fem_model, masked
 from .skin_model import BEYOND, unfollowed
 from .solved import solve_key
@@ -183,7 +182,8 @@ class ParametricModel:
 
     def _asked(self, scenario: Scenario, frequency: FloatArray) -> list[tuple[Piece, BoolArray]]:
         """Pieces of the band with the places (n,) of the frequencies that they answer; raises as :meth:`compliance`."""
-        refuse_unheld(self, scenario)
+        if reason := self.holds(scenario):
+            raise ScenarioError(reason)
         band = frequencies(self.scenario.sweep)
         beyond = frequency[(frequency < band[0] / BEYOND) | (frequency > band[-1] * BEYOND)]
         if len(beyond):

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..accuracy.other_tissues import carried, probes, shortening, space_error
 from ..device import close_loop
-from ..errors import AccuracyWarning, DataError, ReductionError
+from ..errors import AccuracyWarning, DataError, ReductionError, ScenarioError
 from ..fem.reduction.affine import AffineReduced, Modes
 from ..ports import Port
 from ..scenario import Scenario
@@ -21,7 +21,6 @@ from ..store.record import dims, load
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix
 from ..typing import FloatArray
-from .engine import refuse_unheld
 from .fem import masked
 
 __all__ = ["SkinModel", "load_skin_model"]
@@ -78,7 +77,8 @@ class SkinModel:
         """
         if frequency.ndim != 1 or not len(frequency) or not np.all(np.isfinite(frequency) & (frequency >= 0)):
             raise DataError("frequency: expected a row of one or more, finite and not negative [Hz]; correct it")
-        refuse_unheld(self, scenario)
+        if reason := self.holds(scenario):
+            raise ScenarioError(reason)
         drawn, solved = self.reduced.at(scenario), scenario.tissues == self.scenario.tissues
         band = frequencies(self.scenario.sweep)
         beyond = frequency[(frequency < band.min() / BEYOND) | (frequency > band.max() * BEYOND)]

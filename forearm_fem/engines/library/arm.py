@@ -27,8 +27,8 @@ from ...scenario.sweep import frequencies
 from ...store.record import dims
 from ...transfer import Compliance, ErrorEstimate
 from ...typing import BoolArray, ComplexArray, FloatArray, IntArray
-from ..engine import refuse_unheld
 from ..layered import flat_layers, flat_surface
+from ..simulation import refuse_unheld
 from ..solved import Solved
 from .between import Bands, Lattice, Prior, Shape, shape_of
 from .limb import constrained_compliance, deviation_held, modal_compliance, real_product
