@@ -135,7 +135,7 @@ def _render_given(
         g = read(file, declaration(declare), scenario=asked)
         scene, notes = scenario_for(g, asked, overrides or ())
         made = Run.given(scene, folder, base, display)
-        made.notes += [f"G: {file}", *notes]
+        made.notes += [f"drives are made on the G of {file}", *notes]
         run_given(made, g)
     print_notes(made.notes)
     _print_answer(made)
