@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array, diags
 
+from forearm_fem.engines import parametric
 from forearm_fem.engines.fem import fem_model
 from forearm_fem.engines.parametric import Ranges, parametric_model
 from forearm_fem.engines.skin_model import coefficients_of
 from forearm_fem.errors import GeometryError
 from forearm_fem.fem.assembly.model import ForearmModel
-from forearm_fem.fem.assembly.thickness import motion_of
+from forearm_fem.fem.assembly.thickness import follows_thickness, motion_of
 from forearm_fem.fem.reduction.parametric_greedy import Growth
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.cache import cached_mesh
@@ -142,3 +143,19 @@ def test_round_limbs_are_read_from_above_too():
     assert around.hold(bent.changed({"grid": bent.grid.changed({"direction": "vertical"})}))
     assert ports[0].position == ports[len(around.places)].position
     assert ports[-1 - len(around.places)].axis != (0.0, 0.0, 1.0)
+
+
+def test_terms_that_do_not_fit_into_memory_are_left_out(monkeypatch):
+    """Layers then stay, as the layered model's change serves."""
+
+    class Assembled(Exception):
+        pass
+
+    def stop(model: ForearmModel, *_: object) -> None:
+        raise Assembled(follows_thickness([t.name for t in model.operator.terms]))
+
+    monkeypatch.setattr(parametric, "united_model", stop)
+    scene = parse_scenario({**SLAB, "solver": {**SLAB["solver"], "memory_limit": 1e8}})
+    with pytest.raises(Assembled) as told:
+        parametric_model(scene, ranges=Ranges(thickness=1.5))
+    assert told.value.args == (False,)
