@@ -11,6 +11,7 @@ from forearm_fem.engines.fem import fem_model
 from forearm_fem.engines.parametric import Ranges, parametric_model
 from forearm_fem.engines.skin_model import coefficients_of
 from forearm_fem.errors import GeometryError
+from forearm_fem.fem.assembly.coefficients import grouped
 from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.assembly.thickness import follows_thickness, motion_of
 from forearm_fem.fem.reduction.parametric_greedy import Growth
@@ -113,6 +114,14 @@ def test_limbs_that_differ_in_more_have_no_stretch():
     assert (found["skin"].scale, found["fat"].scale) == pytest.approx((2.0, 0.5))
     assert found["fat"].offset == pytest.approx(1.2e-3)
     assert found["muscle"].scale == pytest.approx(8.1 / 7.8)
+
+
+def test_springpots_on_the_meshs_own_thickness_have_no_more_terms():
+    """Terms of other thicknesses are then nothing, which a springpot has no series at zero for."""
+    scene, names = parse_scenario({**SLAB, "tissues": {"preset": "springpot"}}), ["shear fat", "shear fat; 1 0"]
+    own, other = (grouped(coefficients_of(names, s, scene.limb)) for s in (scene, thick(scene, 1.2e-3, 4.5e-3)))
+    assert [w.tolist() for w, _ in own] == [[1.0, 0.0]]
+    assert [w.tolist() for w, _ in other] == [[1.0, pytest.approx(0.5)]]
 
 
 @pytest.mark.slow
