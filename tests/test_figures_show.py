@@ -142,7 +142,7 @@ def test_the_picture_is_of_the_moment_at_which_the_target_moves_most(run: Result
     moved, spot = motion(run, view, np.append(default_times(), at)), nearest(run, "5")
     there = np.array([moved.displacement(run.wavefield.modes[[spot]], k)[0, 2] for k in range(len(moved.steps))])
     assert abs(there[-1]) > 0.98 * np.abs(there).max()  # the nearest node is not the point itself
-    assert f"t = {1e3 * at:.1f} ms" in wavefield(run, view=view, look=Look(size=SMALL)).words
+    assert f"t = {1e3 * at:+.1f} ms" in wavefield(run, view=view, look=Look(size=SMALL)).words
 
 
 @pytest.mark.parametrize("cut", ["", "xy"])

@@ -26,6 +26,7 @@ from ..geometry.cache import cached_mesh
 from ..geometry.device.place import GridPlaces, grid_places
 from ..geometry.limb.thickness import stretched, stretches
 from ..geometry.mesh.tissue_mesh import TissueMesh
+from ..laws import law as law_class
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
@@ -34,7 +35,6 @@ from ..scenario.sweep import frequencies
 from ..store.record import dims
 from ..store.shelf import Shelf
 from ..store.text import digest_of
-from ..tissue import law as law_class
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray

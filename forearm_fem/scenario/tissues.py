@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from ..laws import LAWS
 from .base import Length, Part, UserCode, Within, idle
 
 Modulus = Annotated[float, Within(0.1, 1e13, "Pa")]
 Viscosity = Annotated[float, Within(1e-9, 1e6, "Pa s", zero=True)]
 PerLength = Annotated[float, Within(1e-9, 1e9, "N/m", zero=True)]
 SheetViscosity = Annotated[float, Within(1e-12, 1e6, "N s/m", zero=True)]
+Bending = Annotated[float, Within(1e-12, 1e3, "N m", zero=True)]
 PerArea = Annotated[float, Within(1e-9, 1e4, "kg/m^2", zero=True)]
+if TYPE_CHECKING:
+    LawName = str
+else:
+    LawName = Literal[tuple(LAWS)]
 
 
 class TissueOverride(Part):
@@ -22,12 +28,12 @@ class TissueOverride(Part):
     mu: Modulus | None = Field(None, description="storage (shear) modulus [Pa]")
     eta: Viscosity | None = Field(None, description="shear viscosity [Pa s]")
     bulk: Modulus | Literal["incompressible"] | None = Field(None, description="bulk modulus [Pa]")
-    law: Literal["kelvin-voigt", "springpot", "zener"] | UserCode | None = Field(
+    law: LawName | UserCode | None = Field(
         None,
         description="law of the shear modulus; kelvin-voigt where left out; your own as module:Name of a file beside "
         "the scenario",
     )
-    parameters: dict[str, float] = Field(default_factory=dict, description="of a law of your own, by name, in SI")
+    parameters: dict[str, float] = Field(default_factory=dict, description="of a law that are no keys here, in SI")
     exponent: Annotated[float, Within(0.001, 0.999)] | None = Field(None, description="springpot exponent [-]")
     mu_infinity: Modulus | None = Field(None, description="Zener high-frequency modulus [Pa]")
 
@@ -42,8 +48,8 @@ class Membrane(Part):
 
 
 class Patch(Part):
-    """Adhesive tape on a rectangle of the skin about the origin: mass and in-plane stiffness, no bending; off while
-    all of these are 0."""
+    """Adhesive tape on a rectangle of the skin about the origin: mass, in-plane and bending stiffness; off while all of
+    these are 0."""
 
     length: Length = Field(0.040, description="along the limb, x [m]; the thesis' 4 x 4 cm of reflective tape")
     width: Length = Field(0.040, description="across the limb, y, seen from above [m]")
@@ -52,18 +58,19 @@ class Patch(Part):
         0.0, description="in-plane shear stiffness mu*h = E h/3 [N/m]; E h of tape is of the order of 1e5 N/m"
     )
     viscosity: SheetViscosity = Field(0.0, description="in-plane eta*h [N s/m]")
+    bending: Bending = Field(0.0, description="bending stiffness E h^3/9 [N m]; 2e-5 to 2e-3 for tape")
 
     @model_validator(mode="after")
     def _something(self) -> Self:
         sizes = {"length", "width"} & self.model_fields_set
-        if sizes and not {"mass", "stiffness", "viscosity"} & self.model_fields_set:
+        if sizes and not {"mass", "stiffness", "viscosity", "bending"} & self.model_fields_set:
             raise idle(sizes, "tissues.patch has neither mass nor stiffness; give it one, or leave the patch out")
         return self
 
     @property
     def is_on(self) -> bool:
         """True if there is anything on the skin."""
-        return bool(self.mass or self.stiffness or self.viscosity)
+        return bool(self.mass or self.stiffness or self.viscosity or self.bending)
 
 
 class Tissues(Part):

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from ..errors import DataError
-from ..results.wavefield import Wavefield
+from ..results.files import Wavefield
 from ..typing import ComplexArray, FloatArray
 from .data import Results
 from .targets import drive_series

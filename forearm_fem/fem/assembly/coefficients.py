@@ -180,6 +180,7 @@ def term_coefficient(
         "skin membrane": Polynomial(membrane.stiffness, membrane.viscosity),
         "patch mass": Polynomial(inertia=patch.mass),
         "patch membrane": Polynomial(patch.stiffness, patch.viscosity),
+        "patch bending": Polynomial(patch.bending),
         "incompressibility": _ONE,
         "compression": _ONE,
     }

@@ -13,7 +13,6 @@ import numpy as np
 
 from ...accuracy.estimates import quadrature_estimate
 from ...engines.arm_meshes import ArmMeshes, arm_meshes
-from ...engines.engine import Engine
 from ...engines.layered import (
     LayeredEngine,
     between_ports,
@@ -24,6 +23,7 @@ from ...engines.layered import (
     flat_surface,
 )
 from ...engines.parametric import ParametricModel, parametric_model, reciprocal
+from ...engines.simulation import Engine
 from ...errors import ForearmError, ScenarioError
 from ...fem.reduction.poles import chebyshev_frequencies
 from ...geometry.limb.thickness import stretches

@@ -18,9 +18,9 @@ from ...errors import DataError, ForearmError, ScenarioError
 from ...geometry.device.layout import planform_ports
 from ...metrics.strength import thesis_table
 from ...progress import Progress, tell
+from ...rendering.funneling import is_thesis_grid
 from ...rendering.interval import Strength, strength_of
 from ...rendering.job import RenderJob, targets_of, wavelet, wavelet_for
-from ...rendering.lattice import is_thesis_grid
 from ...scenario import Scenario
 from ...scenario.rendering import RickerWavelet
 from ...store.shelf import WORK, Shelf
