@@ -212,11 +212,11 @@ def table_one(data: Strengths) -> xr.Dataset:
                     at = table.groups.index(group), table.methods.index(method)
                     mean[g, m, k], std[g, m, k] = table.mean[at], table.std[at]
     notes = [[spreads(data, m, g) for m in ours.methods] for g in ours.groups]
-    low, high = data.table(data.low).mean, data.table(data.high).mean
+    low, high = (np.where(np.arange(3) == 0, data.table(s).mean[..., None], np.nan) for s in (data.low, data.high))
     dims = ("group", "method", "side")
     return xr.Dataset(
         {"mean": (dims, mean), "std": (dims, std), "note": (dims[:2], np.array(notes), {"table": "no"}),
-         "low": (dims[:2], low), "high": (dims[:2], high)},
+         "low": (dims, low), "high": (dims, high)},
         {"group": list(ours.groups), "method": list(ours.methods), "side": list(TABLE_ONE[2:])},
         {"window": data.window},
     )
@@ -259,7 +259,7 @@ _TABLE_SAYS = (
 
 def table_one_extra(data: xr.Dataset) -> dict[str, str]:
     """The table as Markdown and as a LaTeX ``tabular`` with the rules of ``booktabs``, beside the figure."""
-    bounds = zip(data.low.values.ravel(), data.high.values.ravel(), strict=True)
+    bounds = zip(data.low.values[..., 0].ravel(), data.high.values[..., 0].ravel(), strict=True)
     numerics = [f"{a:.2f} to {b:.2f}" if np.isfinite(a) and np.isfinite(b) else "unknown" for a, b in bounds]
     rows, shown = [[*row, n] for row, n in zip(table_one_rows(data), numerics, strict=True)], ""
     named_columns = (*TABLE_ONE, "numerics")
