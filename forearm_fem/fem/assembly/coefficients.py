@@ -166,13 +166,14 @@ def term_coefficient(
 ) -> Coefficient:
     """theta(omega) of a term: "shear fat", "mass fat", "dashpots fat", "foam", "skin tension" and the like.
 
-    Those of other thicknesses (:mod:`.thickness`) take the ``stretches`` of tissues, by default none. Raises KeyError
-    for a name that no term has.
+    Those of other thicknesses (:mod:`forearm_fem.fem.assembly.thickness`) take the ``stretches`` of tissues, by
+    default none. Raises KeyError for a name that no term has.
     """
     name, powers = unmarked(name)
     if powers is not None:
-        inner = term_coefficient(name, tissues, supports, membrane, patch)
-        return Scaled(factor(powers, stretches.get(name.partition(" ")[2], Stretch())), inner)
+        share = factor(powers, stretches.get(name.partition(" ")[2], Stretch()))
+        # nothing of a springpot is a polynomial, which it has no series at zero for
+        return Scaled(share, term_coefficient(name, tissues, supports, membrane, patch)) if share else Polynomial()
     whole: dict[str, Coefficient] = {
         "skin mass": Polynomial(inertia=membrane.mass),
         "skin tension": Polynomial(membrane.tension),
