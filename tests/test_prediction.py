@@ -324,7 +324,7 @@ def test_arms_of_shorter_waves_than_the_mesh_was_made_for_are_told(found: tuple[
 def test_an_interruption_before_the_first_draw_leaves_what_is_solved(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stop(*_: object) -> Outcome:
+    def stop(*_: object, **how: object) -> Outcome:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(runs, "drawn", stop)
