@@ -30,8 +30,6 @@ from forearm_fem.questions.compare.compare import compare
 from forearm_fem.questions.compare.readings import explained
 from forearm_fem.questions.compare.report import picture
 from forearm_fem.questions.design import load_design
-from forearm_fem.questions.predict import run as runs
-from forearm_fem.questions.predict.run import Question, predict
 from forearm_fem.rendering import ricker
 from forearm_fem.scenario import Scenario, apply_overrides, load_scenario, parse_scenario
 from forearm_fem.scenario.measurement import DaqOptions
@@ -133,19 +131,6 @@ def test_a_design_refuses_to_vary_what_no_candidate_reads(tmp_path: Path, key: s
         'name = "d"\nscenario = "small.toml"\n[[variables]]\nkey = "device.rotation"\nvalues = [0.0, 0.1]\n'
     )
     assert load_design(file).asked.variables[0].key == "device.rotation"
-
-
-def test_a_prediction_that_ends_before_its_first_draw_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(*_: object) -> Any:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(runs, "drawn", interrupted)
-    scene = {"engine": "layered", "sweep": {"duration": 0.1}, "device": {"cone": {"contact": "pressure"}}}
-    with pytest.raises(KeyboardInterrupt):
-        predict(Question(parse_scenario(scene), Path()), tmp_path / "p", draws=20, workers=1)
-    assert leftovers(tmp_path) == []
 
 
 @pytest.mark.parametrize(("snr", "seed"), [(float("nan"), 0), (-500.0, 0), (-float("inf"), 0), (60.0, -1)])

@@ -95,15 +95,15 @@ def test_s_of_a_g_read_from_a_file_is_s_of_the_simulation(simulation: Simulation
 
 
 def test_a_renderer_of_one_s_own_runs_from_a_scenario(home: Path, simulation: Simulation, tmp_path: Path):
-    text = SMALL.replace("[rendering]", '[rendering]\nmethods = ["mine:Loudest", "funneling"]')
+    text = SMALL.replace("[rendering]", '[rendering]\nmethods = ["mine:TimeReversal", "funneling"]')
     (home / "loud.toml").write_text(text)
     found = replace(simulation, scenario=load_scenario(home / "loud.toml")).strength
-    assert found.methods == ("all alike", "funneling")
+    assert found.methods == ("time reversal", "funneling")
     assert np.isfinite(found.value).all()
     assert (found.high > found.low).all()
     answer = cli("run", home / "loud.toml", "--out", tmp_path / "out", cwd=tmp_path)  # from another folder
     assert answer.code == 0, answer.err
-    assert "all alike" in (tmp_path / "out" / "report.md").read_text()
+    assert "time reversal" in (tmp_path / "out" / "report.md").read_text()
 
 
 def test_a_tissue_law_of_one_s_own_gives_the_g_of_the_same_law(home: Path, simulation: Simulation):
@@ -207,7 +207,7 @@ def test_series_that_a_law_need_not_give(law: Zener | SpringPot, omega: float):
     np.testing.assert_allclose(Bare().taylor(omega, 9) * reach, law.taylor(omega, 9) * reach, atol=1e-9 * law.mu)
 
 
-@pytest.mark.parametrize(("code", "said"), [("none:Loudest", "no module"), ("mine:Softest", "has no Softest")])
+@pytest.mark.parametrize(("code", "said"), [("none:TimeReversal", "no module"), ("mine:Softest", "has no Softest")])
 def test_code_that_is_not_there_is_said(home: Path, simulation: Simulation, code: str, said: str):
     (home / "wrong.toml").write_text(SMALL.replace("[rendering]", f'[rendering]\nmethods = ["{code}"]'))
     with pytest.raises(ScenarioError, match=said):

@@ -19,6 +19,7 @@ from .common import (
     Overrides,
     ScenarioFile,
     all_hold_g,
+    asked_words,
     console,
     declaration,
     declared,
@@ -307,7 +308,8 @@ def fit(
 
         result = run_fit(
             asked, transfer_file(measured), parameters, folder=folder, declaration=declaration(declare),
-            frequencies=frequencies, fem=fem, base=scenario.parent, progress=display,
+            frequencies=frequencies, fem=fem, base=scenario.parent, named=asked_words(scenario, overrides),
+            progress=display,
         )  # fmt: skip
     typer.echo(result.text)
     typer.echo(f"fit: {folder}")

@@ -245,16 +245,19 @@ def run_fit(
     engine: Engine | None = None,
     fem: bool = False,
     base: str | Path = ".",
+    named: str = "",
     progress: Progress | None = None,
 ) -> FitCommandResult:
     """Fit ``parameters`` (short names of :func:`common_parameters`) of ``scenario`` to a measured G.
 
-    ``frequencies`` of its bins are used, spread evenly; the layered model answers unless an ``engine``
-    is given, or the scenario's own finite elements with ``fem`` (a parametric model, made once and kept in the cache;
-    ``base`` is the folder of the scenario's files). Actuators of the device that were not measured are there
-    all the same. Writes fit.json, fit.md and fitted.nc into ``folder``; their notes say which reading of the data
-    (:mod:`.readings`) would make model and data agree. DataError for a G without valid entries, of another drive than
-    ``device.drive``, of inputs that the device does not have, or of arbitrary gain without ``scale`` to find.
+    ``frequencies`` of its bins are used, spread evenly; ``named`` is the scenario as a command line names it. The
+    layered model answers unless an ``engine`` is given, or the scenario's own finite elements with ``fem`` (a
+    parametric model, made once and kept in the cache; ``base`` is the folder of the scenario's files). Actuators of
+    the device that were not measured are there all the same.
+
+    Writes fit.json, fit.md and fitted.nc into ``folder``; their notes say which reading of the data (:mod:`.readings`)
+    would make model and data agree. DataError for a G without valid entries, of another drive than ``device.drive``,
+    of inputs that the device does not have, or of arbitrary gain without ``scale`` to find.
     """
     asked = {
         "scenario": scenario.model_dump(mode="json"), "measured": _said(measured, declaration),
@@ -295,7 +298,7 @@ def run_fit(
     flat = "" if fem else " (flat layers, no bone); finite elements with `--fem`"
     notes = (
         f"model: {engine.name}{flat}", *_explained(data, (begun, best)), *_biased(data), *numerical,
-        following.sentence, _simulated(scenario, result, fem),
+        following.sentence, _simulated(named or scenario.name, result, fem),
     )  # fmt: skip
     text = fit_text(result, notes)
     files = () if folder is None else _save_fit(Path(folder), asked, result, best, text, notes)
@@ -354,11 +357,11 @@ def _scenario_values(result: FitResult) -> dict[str, float]:
     return {n: v for n, v in result.values.items() if not is_calibration(n)}
 
 
-def _simulated(scenario: Scenario, result: FitResult, fem: bool) -> str:
-    """The command that simulates the scene with the fitted values."""
+def _simulated(named: str, result: FitResult, fem: bool) -> str:
+    """The command that simulates the scene, as a command line names it, with the fitted values."""
     set_ = [f"--set {n}={_plainly(v, 4)}" for n, v in _scenario_values(result).items()]
     engine = [] if fem else ["--set engine=layered"]
-    return " ".join([f"simulate it: forearm-fem run {scenario.name}", *engine, *set_])
+    return " ".join([f"simulate it: forearm-fem run {named}", *engine, *set_])
 
 
 def _unmeasured(scenario: Scenario, data: TransferMatrix) -> tuple[Port, ...]:
