@@ -131,6 +131,7 @@ def test_a_run_waits_after_its_assembly_and_before_it_factorises(monkeypatch):
     assert told == [("assembly", 0, 1), ("assembly", 1, 1)]
 
 
+@pytest.mark.slow  # 3 s
 def test_a_small_scene_needs_no_complex_kernels(monkeypatch):
     """Where MKL is there: ends held otherwise are solved by PARDISO, to the same numbers."""
     if pardiso.mkl_library() is None:

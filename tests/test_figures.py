@@ -352,7 +352,7 @@ def test_a_journals_width_is_that_of_the_picture_and_nothing_is_cut(run: Results
         assert "forearm_fem" not in text.partition("</metadata>")[2]  # no footer
 
 
-@pytest.mark.parametrize("wide", [88, 181])
+@pytest.mark.parametrize("wide", [88, pytest.param(181, marks=pytest.mark.slow)])  # the narrower is the harder
 @pytest.mark.parametrize("name", ["figure-4", "figure-6", "transfer"])
 def test_words_of_a_figure_do_not_run_into_each_other(run: Results, name: str, wide: int) -> None:
     figure = kinds(run)[name].draw(kinds(run)[name].compute(run), width=wide)

@@ -189,6 +189,7 @@ def test_an_interrupted_sweep_goes_on_where_it_stopped(monkeypatch, tmp_path):
     assert planned[1] in seen
 
 
+@pytest.mark.slow  # 3 s; the sweep above is stored alike
 def test_an_interrupted_space_about_a_rate_goes_on_where_it_stopped(monkeypatch, tmp_path, finished):
     """The same G as without the interruption, and only what was missing is solved again."""
     counted, original = [], krylov.RateSpace.more

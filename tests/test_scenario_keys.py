@@ -179,7 +179,11 @@ def before(block: TissueMesh) -> tuple[object, ...]:
     return fem_answer(FEM, block)
 
 
-@pytest.mark.parametrize("key", [k for k in KEYS if not k.startswith(_COMMON)])
+@pytest.mark.parametrize(
+    "key",  # each third; all by night
+    [pytest.param(k, marks=[pytest.mark.slow] if n % 3 else [])
+     for n, k in enumerate(k for k in KEYS if not k.startswith(_COMMON))],
+)  # fmt: skip
 def test_no_key_is_silent_in_finite_elements(key: str, block: TissueMesh, before: tuple[object, ...]) -> None:
     assert before != fem_answer(with_key(FEM, key, other_value(key, KEYS[key])), block)
 

@@ -170,6 +170,7 @@ def _page(browser, address):
     return page, problems
 
 
+@pytest.mark.slow  # 8 s of a person's keys and clicks
 def test_a_whole_session_in_a_browser(browser, tmp_path):
     """One participant from consent to thanks, by keys and clicks: the space bar agrees to nothing, wrong keys answer
     nothing, a second window answers no trial twice, the experimenter pauses, a page closed in the middle goes on at a

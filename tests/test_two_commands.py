@@ -68,6 +68,7 @@ def test_a_killed_command_leaves_no_lock_that_blocks(scene: Path, holder: subpro
     assert ".lock" not in {Path(name).name for name in leftovers(scene)}
 
 
+@pytest.mark.slow  # two processes solve for 10 s; the lock itself is tested above
 def test_two_commands_at_once_each_print_their_own_g_or_refuse(scene: Path) -> None:
     program = [sys.executable, "-m", "forearm_fem", "render", "small.toml", "--out", "one"]
     spacings = (0.04, 0.05)
