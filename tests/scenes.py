@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -31,3 +31,8 @@ def shows_itself(answer: Any) -> None:
     assert "<table>" in answer._repr_html_()
     assert answer.to_xarray().sizes
     assert answer.plot().axes
+
+
+def sampled(cases: Iterable[Any], every: int) -> list[Any]:
+    """Each ``every``-th case of one rule for the default suite, the others by night."""
+    return [pytest.param(c, marks=[pytest.mark.slow] if n % every else []) for n, c in enumerate(cases)]

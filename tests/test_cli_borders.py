@@ -171,6 +171,7 @@ def test_answers_are_not_looked_for_in_a_folder_that_is_not_there(lab: Path, lin
     assert leftovers(lab) == before
 
 
+@pytest.mark.slow  # 2 s
 def test_a_language_that_is_not_there_is_said_before_anybody_is_enrolled(lab: Path) -> None:
     """Who is enrolled binds the study file, and the language could not be put right any more."""
     assert cli("run", "small.toml", "--out", "out", cwd=lab).code == 0

@@ -260,8 +260,9 @@ def test_one_measured_actuator_is_enough_for_a_fit():
 
 @pytest.mark.parametrize(
     ("factor", "said"),
-    [(1e3, "millimetres for metres"), ((2j * np.pi * FIT_F)[:, None, None], "velocity for displacement")],
-)
+    [pytest.param(1e3, "millimetres for metres", marks=pytest.mark.slow),
+     ((2j * np.pi * FIT_F)[:, None, None], "velocity for displacement")],
+)  # fmt: skip
 def test_a_fit_on_misread_data_says_how_to_read_them_and_that_it_is_at_its_bounds(factor, said):
     result = fitted(changed(measured(), factor=factor))
     assert said in result.text

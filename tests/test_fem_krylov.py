@@ -117,6 +117,7 @@ def test_columns_are_orthonormal_and_divergence_free(model, options):
     assert np.abs(rest).max() < 1e-4 * np.abs(model.operator.term_matrix(coupling)).max()
 
 
+@pytest.mark.slow  # 1 s
 def test_in_pieces_as_at_once(model):
     """Ten derivatives at a time, from what was kept of the first ten, or all: the same space."""
     at_once = space_of(model, DOUBLE).more(20)
@@ -183,6 +184,7 @@ def test_it_ends_where_forces_reach_nothing_more():
     assert relative_error(of_contacts(small, found), of_contacts(small, exact)).max() < 1e-6
 
 
+@pytest.mark.slow  # 1 s
 def test_more_derivatives_leave_less(model, truth):
     """The error falls by orders of magnitude, not to a floor above 1e-9: the sum of plain derivatives stops at 1e-4."""
     space, reduced, errors = space_of(model, DOUBLE), AffineReduced.of(model), []
@@ -243,6 +245,7 @@ def test_factors_that_lose_too_much_are_made_good(model, truth, monkeypatch):
     assert relative_error(of_contacts(model, reduced.compliance(CHECK)), truth).max() < 1e-6
 
 
+@pytest.mark.slow  # 2 s
 def test_a_fifth_more_of_one_modulus(model):
     """Derivatives about a rate hold for neighbouring moduli; 1e-3 of room for a space made for others."""
     swept = reduced_sweep(model, BAND, AUTO, tolerance=1e-4)

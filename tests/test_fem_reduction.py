@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import sampled
 from scipy.sparse import csr_array
 
 from forearm_fem.errors import SolverError
@@ -128,7 +129,7 @@ def test_what_a_model_does_not_reproduce_is_stated(model, monkeypatch):
 
 
 @needs_multifrontal
-@pytest.mark.parametrize("start", ["rate", "frequencies"])
+@pytest.mark.parametrize("start", sampled(["rate", "frequencies"], 2))
 def test_elimination_alone_certifies_as_refined_solves_do(model, start, monkeypatch):
     """What it sees is the true error within what it says of rounding, and that holds against refined solves."""
     options = ReducedSolve(start=start, expansions=3, derivatives=3)
@@ -520,6 +521,7 @@ def test_doubt_of_a_good_model_is_where_it_errs(model):
     assert found.frequency == pytest.approx(500.0, abs=40.0)
 
 
+@pytest.mark.slow  # 2 s
 def test_single_precision_gives_the_same_model_as_double(model, truth):
     """Kept in saddle form, what single-precision factors leave enters squared; 1e-6 is where directions are dropped."""
     for precision in ("single", "double"):

@@ -54,6 +54,7 @@ def test_edges_that_refinement_bisects_far_from_a_rim_get_their_middle_on_the_sk
     assert tube.depth_of(skin, tube.angle_of(skin)).max() < 0.2e-3  # 1 % of 20 mm stays straight
 
 
+@pytest.mark.slow  # 3 s
 def test_middles_lie_as_deep_as_their_ends_on_average(limb):
     scenario, mesh = limb
     tube = tube_of(scenario.limb)

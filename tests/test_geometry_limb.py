@@ -169,6 +169,7 @@ def test_refinement_carries_all_boundaries(mesh):
         assert facet_area(finer.points, finer.facets[name]) == pytest.approx(facet_area(mesh.points, facets))
 
 
+@pytest.mark.slow  # 2 s; a limb of elastic bone is meshed in test_geometry_even
 def test_elastic_bone_is_a_region(cylinder):
     scenario, mesh = cylinder
     check_mesh(mesh, 0.02)

@@ -130,7 +130,7 @@ def test_a_symmetric_layout_has_symmetric_strengths():
 @pytest.mark.parametrize(
     ("device", "grid", "left_out"),
     [
-        ({"contacts": [[0.0, 0.0]]}, {}, ("funneling", "combination")),
+        pytest.param({"contacts": [[0.0, 0.0]]}, {}, ("funneling", "combination"), marks=pytest.mark.slow),
         pytest.param({"rows": 5, "columns": 1, "spacing": 0.015}, {"rows": 6, "columns": 1, "pitch": 0.01}, (),
                      marks=pytest.mark.slow),
         ({"contacts": SCATTERED}, {"points": [[0.0, 0.01], [0.01, 0.002], [-0.011, 0.007], [0.003, -0.012]]}, ()),

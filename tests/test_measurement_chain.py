@@ -28,8 +28,8 @@ def missed(values) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("quantity", "rig"),
-    [("displacement", {"motion": 1e-5}), ("velocity", {"motion": 1e-5}), ("velocity", {"noise": 1e-6}),
-     ("displacement", {"noise": 1e-6})],
+    [("displacement", {"motion": 1e-5}), pytest.param("velocity", {"motion": 1e-5}, marks=pytest.mark.slow),
+     ("velocity", {"noise": 1e-6}), pytest.param("displacement", {"noise": 1e-6}, marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_the_formula_is_what_the_estimator_makes_of_the_signal(tmp_path, quantity, rig):
     """36 entries of a virtual rig, and the mean of 20 rigs by the formula."""

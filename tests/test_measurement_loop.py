@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import sampled
 from scipy.signal import csd
 from test_measurement_scene import (
     DURATION,
@@ -164,7 +165,7 @@ def test_window_on_the_impulse_response_lowers_the_noise(tmp_path):
     assert rms[0.05] < 0.5 * rms[None]  # sqrt(0.05 / 0.5) = 0.32 of the noise, plus the window's bias
 
 
-@pytest.mark.parametrize("window", [0.02, 0.05])
+@pytest.mark.parametrize("window", sampled([0.02, 0.05], 2))
 def test_what_a_window_cuts_off_the_response_is_stated(tmp_path, window):
     """Without noise nothing but the response's own end is missing; with 30 dB both are. Seen .88 to 1.04."""
     truth = wave_matrix()
@@ -176,7 +177,7 @@ def test_what_a_window_cuts_off_the_response_is_stated(tmp_path, window):
         assert np.sqrt(np.mean(pull**2)) == pytest.approx(1.0, abs=0.25)
 
 
-@pytest.mark.parametrize("steps", [0.0, 0.1, 0.3, 1.0])
+@pytest.mark.parametrize("steps", sampled([0.0, 0.1, 0.3, 1.0], 3))
 def test_what_a_converter_rounds_alike_in_each_period_is_stated(tmp_path, steps):
     """Noise of a tenth of the converter's step and less makes no period differ, so that scatter tells nothing of the
     rounding."""

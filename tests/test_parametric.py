@@ -524,6 +524,7 @@ def test_one_azimuthal_order_says_what_geometry_changes_within_its_statement(mod
     assert _nearness(parse_scenario(SCENE)) == 0  # pressure scatters nothing
 
 
+@pytest.mark.slow  # 2 s; test_thickness has the mesh's own
 def test_an_arm_of_other_thickness_is_nearer_with_the_layered_models_change(model):
     """Thicker fat and a grid laid 2 mm aside, against a mesh of that arm; the error stated covers what is left. Where
     the grid can be read as it lies, the layered model's change and half of it are of the fat alone."""

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hostile import leaves
 from pydantic.fields import FieldInfo
+from scenes import sampled
 
 from forearm_fem.engines import solved
 from forearm_fem.engines.forecast import forecast, refuse_if_signals_too_large
@@ -147,7 +148,7 @@ def reference() -> tuple[str, str]:
 _TOLD = ("engine", "device.max_voltage", "device.max_power", "solver.memory_limit")
 
 
-@pytest.mark.parametrize("key", [k for k in KEYS if k not in _TOLD])
+@pytest.mark.parametrize("key", sampled((k for k in KEYS if k not in _TOLD), 3))
 def test_no_key_is_silent_in_the_layered_engine(key: str) -> None:
     told, notes = layered_answer(with_key(LAYERED, key, other_value(key, KEYS[key])))
     assert told != reference()[0] or notes != reference()[1]
@@ -179,11 +180,7 @@ def before(block: TissueMesh) -> tuple[object, ...]:
     return fem_answer(FEM, block)
 
 
-@pytest.mark.parametrize(
-    "key",  # each third; all by night
-    [pytest.param(k, marks=[pytest.mark.slow] if n % 3 else [])
-     for n, k in enumerate(k for k in KEYS if not k.startswith(_COMMON))],
-)  # fmt: skip
+@pytest.mark.parametrize("key", sampled((k for k in KEYS if not k.startswith(_COMMON)), 3))
 def test_no_key_is_silent_in_finite_elements(key: str, block: TissueMesh, before: tuple[object, ...]) -> None:
     assert before != fem_answer(with_key(FEM, key, other_value(key, KEYS[key])), block)
 

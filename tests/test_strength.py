@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import sampled
 from test_rendering import BAND, actuators, grid, waves
 
 from forearm_fem.accuracy.discretisation import over_pairs
@@ -124,7 +125,7 @@ def test_figures_find_the_wavelet_s_file_in_the_results(tmp_path):
     assert np.abs(Results.open(tmp_path / "out").wavelet.samples).max() == 1
 
 
-@pytest.mark.parametrize("near", [True, False])
+@pytest.mark.parametrize("near", sampled([False, True], 2))
 def test_compare_finds_the_wavelet_s_file_in_a_results_folder_or_says_that_it_did_not(tmp_path, monkeypatch, near):
     (tmp_path / "scene").mkdir()
     np.save(tmp_path / "scene" / "w.npy", np.hanning(100) * np.sin(np.arange(100) / 4))
@@ -281,7 +282,7 @@ def test_draws_on_a_shorter_record_give_the_same_interval(monkeypatch):
     assert np.allclose(np.log(short.high / short.low), np.log(whole.high / whole.low), rtol=0.02)  # S differs by 1e-3
 
 
-@pytest.mark.parametrize("window", [(0.05, 0.06), (-0.03, -0.025), (-0.001, 0.001)])
+@pytest.mark.parametrize("window", sampled([(0.05, 0.06), (-0.03, -0.025), (-0.001, 0.001)], 3))
 def test_a_window_aside_or_short_has_the_interval_of_the_whole_record(monkeypatch, window):
     """The record was cut to four lengths of the window, wherever it lay: one 50 ms after the wavelet was not on it, one
     before it partly, and one of 2 ms was drawn on 8 ms, into which the skin's ringing folds back."""

@@ -128,6 +128,7 @@ def test_the_page_knows_discs_anywhere_within_what_it_states(arm: Stand) -> None
 
 
 @needs_node
+@pytest.mark.slow  # 2 s
 def test_where_discs_cannot_stand_is_said(arm: Stand) -> None:
     content = library_content(arm, arm.scenario, "a library")
     off, close = [[0.2, 0.0], *ELSEWHERE[1:]], [ELSEWHERE[1], *ELSEWHERE[1:]]
