@@ -23,6 +23,7 @@ from forearm_fem.questions.design.candidate import TabulatedArm
 from forearm_fem.questions.predict.arm import LayeredArm
 from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of
 from forearm_fem.questions.predict.run import Question, check_question, predict
+from forearm_fem.rendering.job import check_servable
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.shipped import contents, law_files, named_files
 from forearm_fem.tissue import resolve_tissues
@@ -212,3 +213,5 @@ def test_code_that_is_not_there_is_said(home: Path, simulation: Simulation, code
     (home / "wrong.toml").write_text(SMALL.replace("[rendering]", f'[rendering]\nmethods = ["{code}"]'))
     with pytest.raises(ScenarioError, match=said):
         replace(simulation, scenario=load_scenario(home / "wrong.toml")).strength  # noqa: B018
+    with pytest.raises(ScenarioError, match=said):  # and before anything is solved
+        check_servable(load_scenario(home / "wrong.toml"))

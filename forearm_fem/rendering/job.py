@@ -227,10 +227,12 @@ def unsuited(
 def check_servable(scenario: Scenario) -> dict[str, str]:
     """:func:`unsuited` seen from above, before anything is solved.
 
-    ScenarioError if no method is left or there is no point beside the target, DataError if none of the record's bins
-    would have a G.
+    ScenarioError if no method is left, a method of one's own is none, or there is no point beside the target, DataError
+    if none of the record's bins would have a G.
     """
     options, sweep = scenario.rendering, scenario.sweep
+    for code in filter(is_code, options.methods):
+        user_renderer(code, scenario)
     if options.methods:
         band = frequencies(sweep)
         place_on_bins(band, np.zeros((len(band), 1), dtype=complex), sweep.sample_rate, sweep.duration)

@@ -45,7 +45,7 @@ class TrackRecord:
         """One line for reports."""
         return (
             f"Of published values {self.entries} of 9 S of one person and {self.findings} of {self.compared} other "
-            f"findings lay inside such bands; more in {PAGE}."
+            f"findings lay inside such bands of the layered model; more in {PAGE}."
         )
 
     def as_text(self) -> str:
