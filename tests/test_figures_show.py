@@ -22,6 +22,7 @@ from forearm_fem.show.film import (
     amplification,
     animate,
     body_of,
+    slow_words,
     staged,
     standing,
     wavefield,
@@ -132,6 +133,13 @@ def test_a_picture_shows_the_wave_and_where_names_stand(run: Results) -> None:
     at = {str(n): p for n, p in zip(now.name.values, now["at"].values, strict=True)}
     assert at["1"][0] < at["4"][0] < at["7"][0]  # from above x goes to the right and y upwards
     assert at["1"][1] > at["2"][1] > at["3"][1]
+
+
+def test_a_film_says_how_slow_it_is(run: Results) -> None:
+    """.5 ms a frame at 12 frames a second: 6 ms of motion a second; 24 frames a period of 1/100 s likewise."""
+    assert slow_words(motion(run, View("funneling", "5")), 12.0) == "167 times slower than real"
+    f = float(run.wavefield.frequency[9])
+    assert slow_words(motion(run, View(frequency=f)), 12.0) == f"{2 * f:.3g} times slower than real"
 
 
 def test_the_picture_is_of_the_moment_at_which_the_target_moves_most(run: Results) -> None:

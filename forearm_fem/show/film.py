@@ -370,6 +370,7 @@ def animate(
     moved = motion(found, view, steps)
     with plotter_for(look.size) as plotter:
         stage = staged(found, plotter, moved, look)
+        stage = replace(stage, without=(slow_words(moved, frames_per_second), *stage.without))
         pictures = []
         beyond = view.quantity != "phase" and any(stage.beyond(k) for k in range(len(moved.steps)))
         bar = np.zeros((1, 1, 4)) if look.bare else colour_bar(stage, look, beyond)
@@ -390,6 +391,14 @@ def animate(
                 for picture in pictures:
                     film.append_data(picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2])
     return target
+
+
+def slow_words(moved: Motion, frames_per_second: float) -> str:
+    """How much slower than the motion a film of its steps, evenly spaced, plays."""
+    step = float(moved.steps[1] - moved.steps[0]) if len(moved.steps) > 1 else 0.0
+    if moved.view.frequency is not None:
+        step /= 2 * np.pi * moved.view.frequency  # a phase's share of a period
+    return f"{1 / (step * frames_per_second):.3g} times slower than real" if step > 0 else "one instant"
 
 
 def _given(results: Results | str | Path, view: View | None, look: Look | None) -> tuple[Results, View, Look]:
