@@ -631,8 +631,10 @@ def test_a_few_crossing_triangles_are_repaired_and_said(tmp_path):
     ball = pyvista.Sphere(radius=0.03, theta_resolution=24, phi_resolution=24)
     points = np.array(ball.points, dtype=float)
     top = int(points[:, 2].argmax())
-    near = np.argsort(np.linalg.norm(points - points[top], axis=1))[1:3]
-    points[near[0]], points[near[1]] = points[near[1]].copy(), points[near[0]].copy()
+    far = np.linalg.norm(points - points[top], axis=1)
+    ring = np.flatnonzero(np.abs(far - np.sort(far)[1]) < 1e-6)
+    near = ring[np.argsort(np.arctan2(points[ring, 1], points[ring, 0]))][:2]  # neighbours, whatever rounding orders
+    points[near] = points[near[::-1]]
     pyvista.PolyData(points, ball.faces).save(tmp_path / "skin.stl")
     limb = parse_scenario({**REST, "limb": {"shape": "surfaces", "surfaces": {"skin": "skin.stl"}}}).limb
     with pytest.warns(AccuracyWarning, match="which moved it by .* mm at most"):
