@@ -16,6 +16,7 @@ from forearm_fem.show.data import Results
 from forearm_fem.show.devices import (
     Device,
     Devices,
+    _people_line,
     answer_lines,
     are_devices,
     compare_devices,
@@ -54,13 +55,18 @@ def test_means_are_over_the_points_that_count_in_all(two: Devices) -> None:
     assert [two.mean(d) for d in two.devices] == pytest.approx([3.0, 2.0])
     assert [d.name for d in two.ranked] == ["wide", "near"]  # 9 points in focus before 8
     first, *others = answer_lines(two)
-    assert first == "wide is better than near on this arm: it focuses at 9 points, near at 8."
+    assert first == "wide is better than near on this arm: it focuses at 9 of 9 points, near at 8 of 9 points."
     assert "Mean S over the 8 points that count in all (2, 3, 4, 5, 6, 7, 8, 9): 2.00 wide, 3.00 near." in others
 
 
 def test_intervals_that_overlap_are_called_a_draw(one: Device) -> None:
     pair = [with_s(one, n, [[s] * 9] * 3, [True] * 9) for n, s in (("a", 2.0), ("b", 2.015))]
     assert answer_lines(Devices(tuple(pair), np.ones(9, dtype=bool)))[0].startswith("A draw between b and a")
+    barely = [with_s(one, n, [[s, *[2.0] * 8]] * 3, [True] * 9) for n, s in (("a", 1.005), ("b", 0.995))]
+    found = Devices(tuple(barely), np.ones(9, dtype=bool))  # 9 points and 8, but the ninth is open in both
+    assert answer_lines(found)[0].startswith("A draw between a and b")
+    nobody = [replace(d, data=replace(d.data, low=d.data.low * np.nan)) for d in barely]
+    assert answer_lines(Devices(tuple(nobody), found.shared))[0].startswith("Undecided between a and b")
     apart = Devices((pair[0], with_s(one, "c", [[2.5] * 9] * 3, [True] * 9)), np.ones(9, dtype=bool))
     assert answer_lines(apart)[0].startswith("c is better than a on this arm")
 
@@ -85,9 +91,13 @@ def test_devices_meet_the_same_arms(one: Device, tmp_path: Path) -> None:
     found = same_arms(Devices((a, b), np.ones(9, dtype=bool)), a, b)
     assert found is not None
     np.testing.assert_allclose(found.mean, [1.5, 0.75, 0.5])
+    said = _people_line(Devices((a, b), np.ones(9, dtype=bool)), a, b)
+    assert "larger mean S over the shared points on 67 % (21 to 94 % by their number)" in said  # Wilson's, 2 of 3
     np.testing.assert_allclose(found.ratio[:, 1, 4], found.mean)
     others = drawn(one, tmp_path / "others", [3.0, 3.0, 3.0, 3.0], [1.0, 2.0, 3.0, 5.0])
-    assert same_arms(Devices((a, others), np.ones(9, dtype=bool)), a, others) is None
+    apart = Devices((a, others), np.ones(9, dtype=bool))
+    assert same_arms(apart, a, others) is None
+    assert "drew other arms" in _people_line(apart, a, others)
     assert same_arms(Devices((a, one), np.ones(9, dtype=bool)), a, one) is None
 
 

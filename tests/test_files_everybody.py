@@ -102,6 +102,8 @@ def test_a_first_comment_of_json_says_what_a_declaration_says(tmp_path):
     (tmp_path / "lab.csv").write_text('# {"unit": "mm/V", "sign": "+iwt", "lab": 3}\n' + "\n".join(rows()))
     back = read(tmp_path / "lab.csv", Declaration(spectrum="one-sided"))
     np.testing.assert_allclose(back.values, 1e-3 * G.values, rtol=1e-15)
+    (tmp_path / "lab.csv").write_text("# {by hand}\n" + "\n".join(rows()))  # a comment like others
+    assert np.array_equal(read(tmp_path / "lab.csv").values, G.values)
     (tmp_path / "lab.csv").write_text('# {"sign": "up"}\n' + "\n".join(rows()))
     with pytest.raises(DataError, match=r"lab\.csv, line 1: .*sign: input should be '\+iwt' or '-iwt', got 'up'"):
         read(tmp_path / "lab.csv")

@@ -169,12 +169,13 @@ def read_table(file: Path) -> Table:
 def _stated(file: Path, line: str) -> Declaration:
     """Declaration in a first ``line`` of JSON behind a comment's sign; an empty one where there is none."""
     text = line.lstrip("".join(_COMMENT)).strip()
-    if not text.startswith("{"):
-        return Declaration()
     try:
         found = json.loads(text)
-        return Declaration(**{k: v for k, v in found.items() if k in _STATED})
-    except (ValueError, ForearmError) as problem:
+    except ValueError:  # any other comment
+        return Declaration()
+    try:
+        return Declaration(**{k: v for k, v in found.items() if k in _STATED} if isinstance(found, dict) else {})
+    except ForearmError as problem:
         why = f"states what is no declaration; correct it or take it out ({problem})"
         raise DataError(f"{file}, line 1: {why}") from None
 

@@ -12,6 +12,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.patches import Circle
+from scipy.stats import binomtest
 
 from ..errors import DataError
 from ..metrics.strength import strength_text
@@ -159,20 +160,26 @@ def answer_lines(found: Devices) -> list[str]:
 def _verdict(found: Devices) -> str:
     """Title: the better device and why, or a draw."""
     first, second, *_ = found.ranked
-    reached = [len(d.best.focused) for d in (first, second)]
+    reached = [f"{len(d.best.focused)} of {len(d.data.targets)} points" for d in (first, second)]
     if found.shared is None:
-        return f"{first.name} focuses at the larger share of its points, {second.name} at others"
+        return f"The grids differ: {first.name} focuses at {reached[0]}, {second.name} at {reached[1]}"
     low, high = (_mean_interval(found, d) for d in (first, second))
-    if reached[0] > reached[1]:
-        why = f"it focuses at {reached[0]} points, {second.name} at {reached[1]}"
-    elif not np.isfinite([*low, *high]).all():
-        return f"Undecided between {first.name} and {second.name}: an interval of S is unknown"
-    elif low[0] <= high[1] and high[0] <= low[1]:
-        return (f"A draw between {first.name} and {second.name}: both focus at {reached[0]} points, and the intervals "
-                "of their mean S overlap")  # fmt: skip
+    why = f"it focuses at {reached[0]}, {second.name} at {reached[1]}"
+    if _focused(first)[0] > _focused(second)[1]:
+        pass
+    elif low[0] > high[1]:
+        why += ", and its mean S is larger beyond the numerics' error"
+    elif np.isfinite([*low, *high]).all():
+        return f"A draw between {first.name} and {second.name}, as far as the numerics tell"
     else:
-        why = f"both focus at {reached[0]} points, and its mean S is larger beyond the numerics' error"
+        return f"Undecided between {first.name} and {second.name}: an interval of S is unknown"
     return f"{first.name} is better than {second.name} on this arm: {why}"
+
+
+def _focused(d: Device) -> tuple[int, int]:
+    """Points that count at which the best method's S is above 1, and at which the numerics leave that open, too."""
+    m, kept = d.data.methods.index(d.best.method), d.data.counted
+    return int((d.data.low[m, kept] > 1).sum()), int((~(d.data.high[m, kept] <= 1)).sum())
 
 
 def _mean_interval(found: Devices, d: Device) -> tuple[float, float]:
@@ -223,12 +230,17 @@ def same_arms(found: Devices, a: Device, b: Device) -> SameArms | None:
 def _people_line(found: Devices, first: Device, second: Device) -> str:
     """On how many arms the order of the two stays, or how that is found."""
     arms = same_arms(found, first, second)
+    if arms is None and all(d.results.has(DRAWS) for d in (first, second)):
+        return "The two predictions drew other arms: predict both with the same --seed, --law and --hold."
     if arms is None:
         return (f"People differ by about a factor of {track_record().width:.2g}, but both devices meet the same arm: "
                 "draw arms for both (below) and compare again to see on how many the order stays.")
     low, middle, high = np.quantile(arms.mean, (0.05, 0.5, 0.95))
+    share = binomtest(int((arms.mean < 1).sum()), len(arms.mean))
+    between = share.proportion_ci(method="wilson")
     return (f"On {len(arms.mean)} drawn arms, the same for both, {first.name} has the larger mean S over the shared "
-            f"points on {100 * (arms.mean < 1).mean():.0f} %; {second.name} has {middle:.2f} times its S ({low:.2f} to "
+            f"points on {100 * share.statistic:.0f} % ({100 * between.low:.0f} to {100 * between.high:.0f} % by their "
+            f"number); {second.name} has {middle:.2f} times its S ({low:.2f} to "
             f"{high:.2f} on 90 % of arms).")  # fmt: skip
 
 

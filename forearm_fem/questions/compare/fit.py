@@ -32,6 +32,7 @@ FALLBACK_NOISE = 0.05  # of the entries' rms, where no deviation is known
 _VAGUE = 0.25  # of the allowed range: a combination known no better than this is called unknown
 _MUCH = 0.3  # of the data's norm: a misfit that is said where nothing tells it from noise
 _STEP = 1e-4  # of the allowed range, for differences
+_SMALL = 0.01  # of an actuator's column: less is not worth a word
 _APART = 2.0  # times what the model leaves of the other actuators' columns: a gain of its own is worth a try
 
 
@@ -103,10 +104,11 @@ class FitResult:
             )
         worst = max(self.left, key=self.left.__getitem__, default="")
         others = [x for n, x in self.left.items() if n != worst]
-        if others and self.left[worst] > _APART * float(np.median(others)) and f"{GAIN}{worst}" not in self.values:
+        usual = float(np.median(others)) if others else math.inf
+        if self.left.get(worst, 0.0) > max(_APART * usual, _SMALL) and f"{GAIN}{worst}" not in self.values:
             misfit = (*misfit, f"the model leaves {100 * self.left[worst]:.2g} % of {worst}'s column, of others' "
-                      f"{100 * float(np.median(others)):.2g} %: fit again with `gains`, one for each actuator, in "
-                      "place of scale")  # fmt: skip
+                      f"{100 * usual:.2g} %, so its gain may be another: fit again with `gains`, one for each "
+                      "actuator, in place of scale")  # fmt: skip
         stuck = () if self.converged else (f"the fit did not converge: {self.message}",)
         return (*(d.sentence for d in self.unknown), *ends, *misfit, *stuck)
 

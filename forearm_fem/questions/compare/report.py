@@ -21,6 +21,7 @@ from ...files.declaration import arbitrary_gain
 from ...metrics.common_ground import CommonGround
 from ...ports import positions
 from ...rendering.drives import counted_points, not_counted_words
+from ...scenario.shipped import shipped_scenarios
 from ...show.page import Block, Page, Section, embedded
 from ...show.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, micro, panels, sign, single, styled
 from ...store.folder import atomic_path, set_kind, write_text
@@ -81,7 +82,9 @@ def _next(c: Comparison, asked: Mapping[str, Any]) -> list[tuple[str, str]]:
     files = [str((asked.get(side) or [None])[0] or side) for side in "AB"]
     scenes = [p["scenario"]["name"] if isinstance(p.get("scenario"), Mapping) else "" for p in c.ground.provenance]
     side = 0 if scenes[1] and not scenes[0] else 1
-    measured, scene = shlex.quote(files[side]), shlex.quote(scenes[0] or scenes[1] or "SCENARIO")
+    named = scenes[0] or scenes[1] or "SCENARIO"
+    scene = named if named in ("SCENARIO", *shipped_scenarios()) else shlex.quote(f"{named}.toml")
+    measured = shlex.quote(files[side])
     said = ((asked.get("AB"[side]) or [None, None])[1:] or [None])[0] or {}
     plain = {k: v for k, v in said.items() if isinstance(v, str | int | float) and not isinstance(v, bool)}
     declared = "".join(f" --declare {shlex.quote(f'{k}={v!r}')}" for k, v in plain.items())
