@@ -27,8 +27,9 @@ from forearm_fem.show.film import (
     standing,
     wavefield,
 )
-from forearm_fem.show.motion import View, default_times, focus_time, motion, round_down_125
+from forearm_fem.show.motion import View, default_times, focus_time, motion
 from forearm_fem.show.scene import plotter_for
+from forearm_fem.show.style import round_down_125
 
 pytestmark = pytest.mark.drawn
 

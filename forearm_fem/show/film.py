@@ -26,7 +26,7 @@ from ..progress import Progress, tell
 from ..store.folder import atomic_path
 from ..typing import FloatArray, IntArray
 from .data import Results
-from .motion import Motion, View, default_times, focus_time, motion, round_down_125, shown_values
+from .motion import Motion, View, default_times, focus_time, motion, shown_values
 from .scene import (
     FONT,
     MM,
@@ -42,7 +42,7 @@ from .scene import (
     trimmed,
     volume_grid,
 )
-from .style import COLUMN, INK, PAGE, SIGNED, SIZE, minus, panels, sheet, styled
+from .style import COLUMN, INK, PAGE, SIGNED, SIZE, minus, panels, round_down_125, sheet, styled
 
 __all__ = ["Look", "animate", "plot_wavefield", "wavefield"]
 

@@ -23,7 +23,7 @@ from ..store.text import markdown_table
 from ..transfer import size_words
 from ..typing import BoolArray, FloatArray
 from .data import Results, places
-from .style import ACTUATORS, COLUMN, GREY, INK, PAGE, method_colour, sheet, single, styled, widen
+from .style import ACTUATORS, COLUMN, GREY, INK, PAGE, method_look, sheet, single, styled, widen
 
 TABLE_ONE = ("place", "method", "here", "record", "thesis")  # S over the window, over the whole record, and measured
 
@@ -304,11 +304,12 @@ def _points(ax: Axes, data: xr.Dataset, columns: int) -> None:
     methods, place = list(data.method.values), np.arange(data.sizes["group"], dtype=float)
     for m, method in enumerate(methods):
         x = place + 0.24 * (m - (len(methods) - 1) / 2)
-        look: dict[str, Any] = {"color": method_colour(method, methods), "capsize": 2, "lw": 0.8, "ls": "none"}
+        colour, marker, _ = method_look(method, methods)
+        look: dict[str, Any] = {"color": colour, "fmt": marker, "capsize": 2, "lw": 0.8, "ls": "none"}
         for side, aside, words, face in ((TABLE_ONE[2], -0.04, "here", None), (TABLE_ONE[4], 0.04, "thesis P2", "w")):
             mean, std = (data[what].isel(method=m).sel(side=side).values for what in ("mean", "std"))
             if np.isfinite(mean).any():
-                ax.errorbar(x + aside, mean, np.nan_to_num(std), fmt="o", mfc=face, label=f"{method}, {words}", **look)
+                ax.errorbar(x + aside, mean, np.nan_to_num(std), mfc=face, label=f"{method}, {words}", **look)
     ax.axhline(1, color=GREY, lw=0.8, ls="--")
     if data.window:
         over = data.window.replace("-", "\N{MINUS SIGN}") if data.window != "record" else "the whole record"

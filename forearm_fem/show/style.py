@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from difflib import get_close_matches
 from functools import wraps
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
-from matplotlib import colormaps, style
+from matplotlib import colormaps, rc_context, style
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.font_manager import findfont, fontManager
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from ..errors import DataError
 
 # The look of every figure: style sheet, colours, canvases and the line that says where it came from.
 
@@ -80,15 +86,48 @@ def sign(figure: Figure, source: str) -> None:
     """``source`` in small grey letters at the foot of ``figure``, below everything else."""
     height = 0.16 / figure.get_figheight()
     engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.set(rect=(0, height, 1, 1 - height))  # type: ignore[call-arg]
+    if isinstance(engine, ConstrainedLayoutEngine):
+        engine.set(rect=(0, height, 1, 1 - height))
     figure.text(0.005, 0.25 * height, source, fontsize=5.5, color=GREY, ha="left", va="bottom")
 
 
-def method_colour(name: str, all_names: Sequence[str]) -> str:
-    """The method's own colour; unknown methods take the next ones of the actuators' cycle."""
+class MethodLook(NamedTuple):
+    """Colour, marker and hatch of a method: known on paper without colours, too."""
+
+    colour: str
+    marker: str
+    hatch: str
+
+
+def method_look(name: str, all_names: Sequence[str]) -> MethodLook:
+    """The method's own look; unknown methods take the next ones, their colours of the actuators' cycle."""
+    known, k = list(METHODS), list(all_names).index(name)
     spare = [c for c in ACTUATORS if c not in METHODS.values()]
-    return METHODS.get(name) or spare[list(all_names).index(name) % len(spare)]
+    place = known.index(name) if name in METHODS else len(known) + k
+    colour = METHODS.get(name) or spare[k % len(spare)]
+    return MethodLook(colour, "os^Dv"[place % 5], ("", "////", "....", "xx")[place % 4])
+
+
+@contextmanager
+def lettering(font: str = "") -> Iterator[None]:
+    """Letters of ``font`` within, default the style sheet's; DataError unless the machine has it.
+
+    Signs that it lacks come from the default.
+    """
+    if not font:
+        yield
+        return
+    try:
+        findfont(font, fallback_to_default=False)
+    except ValueError:
+        known = sorted({f.name for f in fontManager.ttflist})
+        raise DataError(
+            f"no font is called '{font}' on this machine; install it, or name one that is, e.g. "
+            f"{', '.join(get_close_matches(font, known, 3, 0.3) or known[:3])}"
+        ) from None
+    maths = {f"mathtext.{k}": f"{font}{v}" for k, v in (("rm", ""), ("it", ":italic"), ("bf", ":bold"))}
+    with rc_context({"font.family": [font, "DejaVu Sans"], "mathtext.fontset": "custom", **maths}):
+        yield
 
 
 def widen(ax: Axes, least: float = 0.35) -> None:
@@ -160,3 +199,9 @@ def decimal(axis: Axis) -> None:
     axis.set_major_locator(LogLocator(10, subs))
     axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}".replace("-", "\N{MINUS SIGN}")))
     axis.set_minor_formatter(NullFormatter())
+
+
+def round_down_125(value: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that does not exceed ``value``."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(p for p in (1, 2, 5) if p * power <= value * (1 + 1e-9)) * power)
