@@ -36,6 +36,9 @@ def figures(
     width: Annotated[
         int | None, typer.Option(help="of a journal, in mm: 88, one column (what it cannot hold is refused), or 181")
     ] = None,
+    font: Annotated[
+        str, typer.Option(help="of all letters, one that this machine has, e.g. Arial; default DejaVu Sans")
+    ] = "",
     footer: Annotated[bool, typer.Option(help="the line on scene and version at the foot")] = True,
     film: Annotated[
         Path | None,
@@ -62,7 +65,7 @@ def figures(
     with job(out or results) as display:
         written = make_figures(
             results, out, only=names, formats=kinds,
-            progress=display, width=width, footer=footer,
+            progress=display, width=width, footer=footer, font=font,
         )  # fmt: skip
     for file in written:
         typer.echo(str(file))

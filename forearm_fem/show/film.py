@@ -28,7 +28,6 @@ from ..typing import FloatArray, IntArray
 from .data import Results
 from .motion import Motion, View, default_times, focus_time, motion, shown_values
 from .scene import (
-    FONT,
     MM,
     NAMED,
     add_bones,
@@ -36,6 +35,7 @@ from .scene import (
     add_grid,
     add_scale_bar,
     cones_of,
+    font_file,
     on_picture,
     plotter_for,
     surface_grid,
@@ -190,7 +190,7 @@ class Stage:
         if not self.silent:
             self.plotter.add_text(
                 minus("\n".join(self.words(step))), position="upper_left", font_size=10, color="black", name="words",
-                font_file=FONT,
+                font_file=font_file(),
             )  # fmt: skip
 
     def beyond(self, step: int) -> bool:
@@ -235,7 +235,7 @@ def staged(results: Results, plotter: Any, moved: Motion, look: Look, whole: Mot
         add_bones(plotter, results.mesh)
     add_scale_bar(plotter, _scale_bar(ports), named=named)
     if named:
-        plotter.add_text(results.stamp, position="upper_right", font_size=6, color="gray", font_file=FONT)
+        plotter.add_text(results.stamp, position="upper_right", font_size=6, color="gray", font_file=font_file())
     _aim(plotter, results, look)
     return stage
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from functools import wraps
 from pathlib import Path
@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
-from matplotlib.font_manager import findfont, fontManager
+from matplotlib.font_manager import findSystemFonts, fontManager
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -36,7 +36,6 @@ METHODS = {"inverse filter": "#0072B2", "funneling": "#D55E00", "combination": "
 TISSUES = {"skin": "#E8B4A0", "fat": "#F2DE9B", "muscle": "#A84B4B", "bone": "#DAD7CB"}
 SIGNED, SIZE = "RdBu_r", "cividis"
 NEARNESS = LinearSegmentedColormap.from_list("nearness", colormaps["viridis_r"](np.linspace(0.18, 1, 256)))  # no yellow
-_NO_LAYOUT = {"figure.autolayout": False, "figure.constrained_layout.use": False}  # what no engine means
 MICRO = 1e6  # what displacements are drawn times: in micrometres, their unit by :func:`micro`
 
 
@@ -77,7 +76,7 @@ def figure_of(drawn: Drawn) -> Figure:
 def arrange(figure: Figure) -> None:
     """Lay ``figure`` out once and for all; saving it does so, and draws it, twice for each file otherwise."""
     if (layout := figure.get_layout_engine()) is not None:
-        with style.context((SHEET, _NO_LAYOUT)):
+        with style.context(SHEET):
             layout.execute(figure)
             figure.set_layout_engine(None)
 
@@ -117,15 +116,16 @@ def lettering(font: str = "") -> Iterator[None]:
     if not font:
         yield
         return
-    try:
-        findfont(font, fallback_to_default=False)
-    except ValueError:
-        known = sorted({f.name for f in fontManager.ttflist})
+    if font not in fontManager.get_font_names():  # matplotlib lists fonts once, and some come later
+        for path in findSystemFonts():
+            with suppress(Exception):  # of a kind that matplotlib cannot read
+                fontManager.addfont(path)
+    if font not in (known := fontManager.get_font_names()):
         raise DataError(
             f"no font is called '{font}' on this machine; install it, or name one that is, e.g. "
             f"{', '.join(get_close_matches(font, known, 3, 0.3) or known[:3])}"
-        ) from None
-    maths = {f"mathtext.{k}": f"{font}{v}" for k, v in (("rm", ""), ("it", ":italic"), ("bf", ":bold"))}
+        )
+    maths = {f"mathtext.{k}": f"{font}{v}" for k, v in (("rm", ""), ("it", ":italic"), ("bf", ":bold"), ("cal", ""))}
     with rc_context({"font.family": [font, "DejaVu Sans"], "mathtext.fontset": "custom", **maths}):
         yield
 

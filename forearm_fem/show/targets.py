@@ -227,7 +227,7 @@ def plot_target(data: xr.Dataset, *, width: int = PAGE) -> Figure:
         axes.tick_params(labelsize=6)
         axes.set_xlabel("time [ms]" if m == room.methods - 1 else "")
         axes.yaxis.label.set_fontsize(6.5)
-        axes.yaxis.set_label_coords(-8.2 / (room.width * axes.get_position().width), 0.5)
+        axes.yaxis.set_label_coords(-9.0 / (room.width * axes.get_position().width), 0.5)
         if m == 0:
             lines = axes.get_legend_handles_labels()
             figure.legend(*lines, loc="upper right", bbox_to_anchor=(0.985, 1 - 1.0 / room.height), ncols=2,
