@@ -258,18 +258,19 @@ _TABLE_SAYS = (
 
 
 def table_one_extra(data: xr.Dataset) -> dict[str, str]:
-    """The table as Markdown and as a LaTeX ``tabular`` with the rules of ``booktabs``, beside the figure."""
+    """The table as Markdown and as a LaTeX ``table`` with its caption and the rules of ``booktabs``."""
     bounds = zip(data.low.values[..., 0].ravel(), data.high.values[..., 0].ravel(), strict=True)
     numerics = [f"{a:.2f} to {b:.2f}" if np.isfinite(a) and np.isfinite(b) else "unknown" for a, b in bounds]
     rows, shown = [[*row, n] for row, n in zip(table_one_rows(data), numerics, strict=True)], ""
     named_columns = (*TABLE_ONE, "numerics")
-    lines = [*(f"% {line}" for line in (r"needs \usepackage{booktabs}", *_TABLE_SAYS)), r"\begin{tabular}{llcccc}",
-             r"\toprule", " & ".join(named_columns) + r" \\", r"\midrule"]  # fmt: skip
+    said = " ".join(_TABLE_SAYS).replace("S by place: mean and", r"Signal strength $S$ by place: mean $\pm$")
+    lines = [r"% needs \usepackage{booktabs}", r"\begin{table}", r"\centering", rf"\caption{{{said}}}",
+             r"\label{tab:signal-strength}", r"\begin{tabular}{llcccc}", r"\toprule", " & ".join(named_columns) + r" \\", r"\midrule"]  # fmt: skip
     for place, method, *numbers in rows:
         named, shown = place if place != shown else "", place
         cells = (named, method, *(n.replace("±", r"$\pm$").replace("–", "--").replace("%", r"\%") for n in numbers))
         lines.append(" & ".join(cells) + r" \\")
-    latex = "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+    latex = "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
     return {"table.md": markdown_table(named_columns, rows) + "\n" + " ".join(_TABLE_SAYS) + "\n", "table.tex": latex}
 
 
