@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 from test_figures_scene import folder  # noqa: F401
 
+from forearm_fem.cli.look import figures
 from forearm_fem.errors import DataError, MissingExtra, NotApplicable
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.show import Results
@@ -203,6 +204,11 @@ def test_mp4_names_its_extra(run: Results, tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setitem(sys.modules, "imageio", None)
     with pytest.raises(MissingExtra, match=r"forearm-fem\[movie\]"):
         animate(run, tmp_path / "film.mp4")
+    flat = tmp_path / "flat"  # no motion between the points: both reasons are told at once, before anything is loaded
+    flat.mkdir()
+    (flat / "scenario.json").write_bytes((run.folder / "scenario.json").read_bytes())
+    with pytest.raises(DataError, match=r"two reasons.*forearm-fem\[movie\].*no motion between the points"):
+        figures(flat, film=tmp_path / "film.mp4")
 
 
 def test_a_picture_and_a_film_of_one_view_are_drawn_alike(run: Results) -> None:

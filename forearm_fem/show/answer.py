@@ -117,9 +117,10 @@ def just_counted(results: Results, data: Strengths) -> str:
     names = _named([t for t, n in zip(data.targets, near, strict=True) if n])
     best = method_answers(data)[0].method
     others = data.values[data.methods.index(best), data.counted & ~near]
-    mean = f"; without {'it' if near.sum() == 1 else 'them'} mean S of {best} is {others.mean():.2f}" if len(others) else ""
+    verb, them = ("counts", "it") if near.sum() == 1 else ("count", "them")
+    mean = f"; without {them} mean S of {best} is {others.mean():.2f}" if len(others) else ""
     by = low if low == high else f"{low} to {high}"
-    return f"{capital(names)} count{'s' if near.sum() == 1 else ''} by {by} mm: a motor is near, which raises S{mean}."
+    return f"{capital(names)} {verb} by {by} mm: a motor is near, which raises S{mean}."
 
 
 def _named(points: Sequence[str]) -> str:

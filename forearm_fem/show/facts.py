@@ -231,7 +231,7 @@ def band_words(results: Results) -> str:
     if energy > 0.99:
         return ""
     return (f"G's band, {g[0]:g} to {g[-1]:g} Hz, cuts the wavelet: {100 * energy:.2g} % of its energy and "
-            f"{100 * peak:.2g} % of its peak lie inside; what moves is longer and smaller than was asked for.")  # fmt: skip
+            f"{100 * peak:.2g} % of its peak lie inside; what moves is longer and smaller than asked for.")  # fmt: skip
 
 
 def limit_words(results: Results) -> str:

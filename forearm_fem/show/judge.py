@@ -265,7 +265,8 @@ def table_one_extra(data: xr.Dataset) -> dict[str, str]:
     named_columns = (*TABLE_ONE, "numerics")
     said = " ".join(_TABLE_SAYS).replace("S by place: mean and", r"Signal strength $S$ by place: mean $\pm$")
     lines = [r"% needs \usepackage{booktabs}", r"\begin{table}", r"\centering", rf"\caption{{{said}}}",
-             r"\label{tab:signal-strength}", r"\begin{tabular}{llcccc}", r"\toprule", " & ".join(named_columns) + r" \\", r"\midrule"]  # fmt: skip
+             r"\label{tab:signal-strength}", r"\begin{tabular}{llcccc}", r"\toprule",
+             " & ".join(named_columns) + r" \\", r"\midrule"]  # fmt: skip
     for place, method, *numbers in rows:
         named, shown = place if place != shown else "", place
         cells = (named, method, *(n.replace("±", r"$\pm$").replace("–", "--").replace("%", r"\%") for n in numbers))

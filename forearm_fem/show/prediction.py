@@ -11,6 +11,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from ..store.folder import write_text
+from ..usercode import is_code
 from .page import Block, Page, Section, as_csv, embedded
 from .style import GREY, INK, SIGNED, Drawn, letter, method_look, panels, styled
 from .track import track_record
@@ -267,7 +268,9 @@ def _numerics(data: Mapping[str, Any]) -> str:
 
 
 def _scope(data: Mapping[str, Any]) -> list[str]:
-    laws = f"Laws of the tissues, equally likely: {', '.join(data['laws'])}."
+    named = [law.rpartition(":")[2] if is_code(law) else law for law in data["laws"]]  # a class by its own name
+    laws = f"Law{'s' if len(named) > 1 else ''} of the tissues{', equally likely' if len(named) > 1 else ''}: "
+    laws += f"{', '.join(named)}."
     if "tissue" in data["held"]:
         laws = "Tissues and their laws: the scene's own in every arm."
     elif kept := data.get("kept_tissues"):

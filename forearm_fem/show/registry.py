@@ -133,9 +133,9 @@ def make_figures(
 
     ``out_dir`` defaults to ``figures`` inside the folder; ``only`` are names from :func:`kinds`; ``formats`` any of
     png, pdf and svg; ``width`` one of :data:`.style.WIDTHS` [mm], exactly; ``footer`` False
-    leaves out the line on scene and version; ``font`` one that the machine has, default DejaVu Sans. Files appear whole or not at all. Figures that do not apply to the run are
-    left out unless named. Raises DataError for an unfinished folder, an unknown name or format, and a folder that
-    cannot be written.
+    leaves out the line on scene and version; ``font`` is one that the machine has, default DejaVu Sans. Files appear
+    whole or not at all. Figures that do not apply to the run are left out unless named. Raises DataError for an
+    unfinished folder, an unknown name, format or font, and a folder that cannot be written.
     """
     results = results_dir if isinstance(results_dir, Results) else Results.open(results_dir)
     chosen = _chosen(results, only)

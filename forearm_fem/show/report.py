@@ -158,7 +158,7 @@ def run_page(results: Results, progress: Progress | None = None) -> Page:
                 paragraphs=[_TRACES] if traces else [], bullets=drawn.missing),
         Section("drives", "Drives against limits", facts.renderer_block(results),
                 paragraphs=[p for p in (facts.limit_words(results), facts.band_words(results)) if p]),
-        *_to_play(results, data),
+        *to_play(results, data),
         Section("next", "What to do next", commands=next_steps(results, data)),
         Section("thesis", "Beside the thesis' Table I", thesis, bullets=facts.differences(results) if thesis else (),
                 folded=True),
@@ -177,7 +177,7 @@ def run_page(results: Results, progress: Progress | None = None) -> Page:
                 subject_of(results))  # fmt: skip
 
 
-def _to_play(results: Results, data: Strengths) -> list[Section]:
+def to_play(results: Results, data: Strengths) -> list[Section]:
     """What to play on the rig that measured G: the best method's drives, and the others' folded."""
     if not is_measured(results):
         return []

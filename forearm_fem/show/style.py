@@ -100,11 +100,10 @@ class MethodLook(NamedTuple):
 
 def method_look(name: str, all_names: Sequence[str]) -> MethodLook:
     """The method's own look; unknown methods take the next ones, their colours of the actuators' cycle."""
-    known, k = list(METHODS), list(all_names).index(name)
-    spare = [c for c in ACTUATORS if c not in METHODS.values()]
-    place = known.index(name) if name in METHODS else len(known) + k
-    colour = METHODS.get(name) or spare[k % len(spare)]
-    return MethodLook(colour, "os^Dv"[place % 5], ("", "////", "....", "xx")[place % 4])
+    order = [*METHODS, *(n for n in all_names if n not in METHODS)]
+    colours = [*METHODS.values(), *(c for c in ACTUATORS if c not in METHODS.values())]
+    place = order.index(name)
+    return MethodLook(colours[place % len(colours)], "os^Dv"[place % 5], ("", "////", "....", "xx")[place % 4])
 
 
 @contextmanager
@@ -125,8 +124,9 @@ def lettering(font: str = "") -> Iterator[None]:
             f"no font is called '{font}' on this machine; install it, or name one that is, e.g. "
             f"{', '.join(get_close_matches(font, known, 3, 0.3) or known[:3])}"
         )
-    maths = {f"mathtext.{k}": f"{font}{v}" for k, v in (("rm", ""), ("it", ":italic"), ("bf", ":bold"), ("cal", ""))}
-    with rc_context({"font.family": [font, "DejaVu Sans"], "mathtext.fontset": "custom", **maths}):
+    with rc_context({"font.family": [font, "DejaVu Sans"], "mathtext.fontset": "custom", "mathtext.rm": font,
+                     "mathtext.it": f"{font}:italic", "mathtext.bf": f"{font}:bold",
+                     "mathtext.cal": font}):  # fmt: skip
         yield
 
 

@@ -22,7 +22,21 @@ from ..typing import ComplexArray, FloatArray
 from .data import Results, places, record_of
 from .device import active_span
 from .patch import volar_patch
-from .style import COLUMN, FAINT, GREY, INK, MICRO, PAGE, SIGNED, method_look, minus, round_down_125, sheet, single, styled
+from .style import (
+    COLUMN,
+    FAINT,
+    GREY,
+    INK,
+    MICRO,
+    PAGE,
+    SIGNED,
+    method_look,
+    minus,
+    round_down_125,
+    sheet,
+    single,
+    styled,
+)
 
 _INSTANTS = 6
 _FLAT = 1e-3  # of the grid's size: points that are no further off a line span no surface
@@ -194,7 +208,8 @@ class _Sheet:
         if self.wide:
             left = self.bar + 25.0
             return self.axes(figure, left, top + _HEAD, self.width - left - 3.0, self.tall - _HEAD - 6.0)
-        return self.axes(figure, _LEFT, top + _HEAD + self.rows * (self.size + 4.0) + 1.5, self.width - _LEFT - 3.0, 15.0)
+        below = top + _HEAD + self.rows * (self.size + 4.0) + 1.5
+        return self.axes(figure, _LEFT, below, self.width - _LEFT - 3.0, 15.0)
 
 
 _LEFT, _HEAD, _GAP = 11.5, 8.0, 0.8  # mm: left of maps, and of axes over time in a column; above the maps of a method
