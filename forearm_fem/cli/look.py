@@ -107,7 +107,10 @@ def _refuse_film(results: Path, film: Path) -> None:
         except DataError as problem:
             reasons.append(problem)
     if len(reasons) == 2:
-        raise DataError(f"two reasons against {film}: {reasons[0]}; and {reasons[1]}")
+        raise DataError(
+            f"{film.name}: an .mp4 needs python3 -m pip install 'forearm-fem[movie]', and no motion between the points "
+            f"is known in {results.name} (the layered model, a library and measured G have none)"
+        )
     if reasons:
         raise reasons[0]
 
