@@ -41,7 +41,8 @@ if shared and mesh is None:
     m = found.mesh
     facets = {f"facets {name}": f for name, f in m.facets.items()}
     names = np.array(m.region_names)
-    np.savez(shared, edges=m.bends.edges, offsets=m.bends.offsets, points=m.points, tetrahedra=m.tetrahedra, region=m.region, names=names, **facets)
+    arrays = dict(points=m.points, tetrahedra=m.tetrahedra, region=m.region, names=names, **facets)
+    np.savez(shared, edges=m.bends.edges, offsets=m.bends.offsets, **arrays)
 s = np.zeros((3, 0))
 if scenario.rendering.methods:
     rendering = render(found)
