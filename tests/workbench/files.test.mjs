@@ -1,11 +1,11 @@
 // Files in and out of the page: what is written is read back, what is damaged is refused in one sentence.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { Fft } from "../../forearm_fem/show/workbench/page/fft.js";
+import { Fft } from "../../forearm_fem/show/workbench/page/numeric.js";
 import { between, checkSize, FileProblem, fitting, readSamplesCsv, readTransfer, readWav, transferCsv, transferJson, writeCsv, writeToml, writeWav } from "../../forearm_fem/show/workbench/page/files.js";
-import { svd } from "../../forearm_fem/show/workbench/page/linear.js";
+import { svd } from "../../forearm_fem/show/workbench/page/numeric.js";
 import { say, sayUnit } from "../../forearm_fem/show/workbench/page/dom.js";
-import { ticks } from "../../forearm_fem/show/workbench/page/plots.js";
+import { ticks } from "../../forearm_fem/show/workbench/page/dom.js";
 
 const OUT = ["1", "2"], IN = ["A1"], G = { re: Float64Array.of(1, 2, 3, NaN), im: Float64Array.of(-1, 0.5, 0, NaN) }, F = Float64Array.of(10, 20);
 const sentence = (act, words) => assert.throws(act, (e) => e instanceof FileProblem && words.test(e.message) && e.message.length < 300 && !e.message.includes("\n"));

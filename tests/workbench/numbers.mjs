@@ -1,7 +1,7 @@
 // What the page computes, for tests/test_workbench.py: reads {content, jobs} from the file named, prints one JSON value a job.
 import { readFileSync } from "node:fs";
 import { Experiment, METHODS } from "../../forearm_fem/show/workbench/page/experiment.js";
-import { halves, noiseOf, shorter, whyNone } from "../../forearm_fem/show/workbench/page/interval.js";
+import { halves, noiseOf, shorter, whyNone } from "../../forearm_fem/show/workbench/page/signals.js";
 import { amplitudesAt, displace, Field } from "../../forearm_fem/show/workbench/page/field.js";
 
 const { content, jobs } = JSON.parse(readFileSync(process.argv[2], "utf8"));

@@ -2,9 +2,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { displace } from "../../forearm_fem/show/workbench/page/field.js";
-import { Raster, tableOf } from "../../forearm_fem/show/workbench/page/raster.js";
-import { all, openEdges, seen } from "../../forearm_fem/show/workbench/page/seen.js";
-import { eyeOf, matrixOf } from "../../forearm_fem/show/workbench/page/view.js";
+import { Raster, tableOf } from "../../forearm_fem/show/workbench/page/picture.js";
+import { all, openEdges, seen } from "../../forearm_fem/show/workbench/page/picture.js";
+import { eyeOf, matrixOf } from "../../forearm_fem/show/workbench/page/picture.js";
 
 const VIEW = { turn: 0, tilt: Math.PI / 2, far: 100, centre: [0, 0, 0] }, BOX = { x: 0, y: 0, w: 40, h: 40 }; // from above
 const surface = (rest, faces) => ({ name: "skin", rest: Float32Array.from(rest), normals: new Float32Array(rest.length).fill(0), faces: Uint16Array.from(faces), shapes: new Float32Array(0), components: 1, tissue: null, tissues: [] });

@@ -5,19 +5,16 @@
  * @typedef {import("./experiment.js").Method} Method
  * @typedef {import("./field.js").Field} Field
  * @typedef {import("./field.js").Track} Track
- * @typedef {import("./view.js").View} View
- * @typedef {import("./view.js").Box} Box
+ * @typedef {import("./picture.js").View} View
+ * @typedef {import("./picture.js").Box} Box
  * @typedef {{track: Track, limit: number, gain: number, rms: Float32Array | null}} Shown  colours end at `limit` [m], motion drawn
  *   `gain` [mm per m]; with `rms` [m] colours are that, and nothing moves
  * @typedef {{key: string, method: Method, experiment: Experiment, title: string}} Slot  what a panel shows
  */
 import { say } from "./dom.js";
-import { amplitudesAt, displace, rmsOf } from "./field.js";
-import { actuatorBody, deform, outlines } from "./bodies.js";
-import { Raster, tableOf } from "./raster.js";
-import { all, openEdges, seen } from "./seen.js";
-import { eyeOf, matrixOf, project } from "./view.js";
 import { METHODS } from "./experiment.js";
+import { amplitudesAt, displace, rmsOf } from "./field.js";
+import { actuatorBody, all, deform, eyeOf, matrixOf, openEdges, outlines, project, Raster, seen, tableOf } from "./picture.js";
 
 const BULGE = 5, FILM = [-0.01225, 0.01775], GLANCES = 60, NEAR = 15, FREE = 14;
 const STOPS = {

@@ -1,14 +1,14 @@
 /**
  * Everything that can be changed, and the keys.
  *
- * @typedef {import("./app.js").App} App
+ * @typedef {import("./main.js").App} App
  * @typedef {import("./device.js").Device} Device
  */
 import { $, h, say, sayUnit } from "./dom.js";
-import { Anywhere } from "./anywhere.js";
 import { fitted, METHODS } from "./experiment.js";
 import { exportsPanel } from "./exports.js";
 import { checkSize, FileProblem, fitting, inOneLine, readSamplesCsv, readTransfer, readWav } from "./files.js";
+import { Anywhere } from "./moves.js";
 
 const SPEEDS = /** @type {[string, number][]} */ ([["real time", 1], ["10 times slower", 1 / 10], ["40 times slower", 1 / 40], ["200 times slower", 1 / 200]]);
 const OFF = 10; // [mm] from the skin's vertices: elements are smaller

@@ -1,15 +1,15 @@
 /**
  * The whole way from the skin's compliance to S, with everything a reader of the page may change; no picture, no window.
  *
- * @typedef {import("./arrays.js").Complex} Complex
+ * @typedef {import("./numeric.js").Complex} Complex
  * @typedef {import("./device.js").Device} Device
  * @typedef {import("./device.js").Port} Port
- * @typedef {import("./renderers.js").Aim} Aim
- * @typedef {import("./renderers.js").Method} Method
- * @typedef {import("./renderers.js").Placed} Placed
- * @typedef {import("./renderers.js").Rule} Rule
- * @typedef {import("./wavelet.js").Wavelet} Wavelet
- * @typedef {import("./wavelet.js").Record} Record
+ * @typedef {import("./rendering.js").Aim} Aim
+ * @typedef {import("./rendering.js").Method} Method
+ * @typedef {import("./rendering.js").Placed} Placed
+ * @typedef {import("./rendering.js").Rule} Rule
+ * @typedef {import("./signals.js").Wavelet} Wavelet
+ * @typedef {import("./signals.js").Record} Record
  * @typedef {{vertex: number, position: number[], normal: number[]}} Place  anywhere on the skin, [m]
  * @typedef {object} Settings
  * @property {number} target  row among the points, the free place after them
@@ -35,16 +35,11 @@
  * @property {number} strength
  * @property {number} undriven  share of the wavelet's energy on bins that are not driven
  */
-import { unpack, unpackAmplitudes, unpackComplex, zeros } from "./arrays.js";
-import { complianceAt, polesOf } from "./compliance.js";
-import { closeLoop } from "./device.js";
-import { toSpectrum, toTime } from "./fft.js";
-import { Anywhere } from "./anywhere.js";
-import { Places } from "./places.js";
-import { aim, knownInputs, respond } from "./renderers.js";
-import { area, strengthOf } from "./strength.js";
-import { burst, placed, ricker, windowOf } from "./wavelet.js";
-import { autoZeros, thesisZeros } from "./zeros.js";
+import { closeLoop, complianceAt, polesOf } from "./device.js";
+import { Anywhere, Places } from "./moves.js";
+import { toSpectrum, toTime, unpack, unpackAmplitudes, unpackComplex, zeros } from "./numeric.js";
+import { aim, autoZeros, knownInputs, respond, thesisZeros } from "./rendering.js";
+import { area, burst, placed, ricker, strengthOf, windowOf } from "./signals.js";
 
 /** @type {Method[]} */
 export const METHODS = ["inverse filter", "funneling", "combination"];

@@ -1,14 +1,13 @@
 /**
  * What is kept of the page: pictures, films, signals, G, and the scenario that reproduces it.
  *
- * @typedef {import("./app.js").App} App
+ * @typedef {import("./main.js").App} App
  */
+import { $, h, mark } from "./dom.js";
 import { METHODS } from "./experiment.js";
-import { CLASS } from "./readouts.js";
-import { $, h } from "./dom.js";
 import { transferCsv, transferJson, writeCsv, writeToml, writeWav } from "./files.js";
-import { mark } from "./plots.js";
-import { timeOf } from "./wavelet.js";
+import { CLASS } from "./readouts.js";
+import { timeOf } from "./signals.js";
 
 /** @param {App} app */
 export function exportsPanel(app) {
@@ -238,7 +237,7 @@ export function scenarioToml(app) {
   return lines.map((l) => `# ${l.replace(/[\r\n\u0000-\u001f\u007f]+/g, " ")}\n`).join("") + writeToml(table);
 }
 
-/** Whether a scenario needs samples that no file holds yet. @param {import("./wavelet.js").Wavelet} wavelet */
+/** Whether a scenario needs samples that no file holds yet. @param {import("./signals.js").Wavelet} wavelet */
 const hasOwnFile = (wavelet) => wavelet.kind === "burst" || wavelet.kind === "own";
 
 /** All points and the free place in the device's own frame [m]. @param {App} app @returns {number[][]} */

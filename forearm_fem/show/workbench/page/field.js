@@ -1,15 +1,14 @@
 /**
  * The skin's motion between the ports: shapes times amplitudes that follow the drives.
  *
- * @typedef {import("./arrays.js").Complex} Complex
+ * @typedef {import("./numeric.js").Complex} Complex
  * @typedef {{name: string, rest: Float32Array, normals: Float32Array, faces: Uint16Array | Uint32Array, shapes: Float32Array,
  *   components: number, tissue: Uint8Array | null, tissues: string[]}} Surface  lengths in mm
- * @typedef {import("./anywhere.js").Net} Net
+ * @typedef {import("./moves.js").Net} Net
  * @typedef {{steps: Float32Array, count: number, first: number, rate: number, k: number, net: Net | null}} Track  amplitudes
  *   (count x k) [m], from `first` [s]: of the surfaces' shapes, or of the signals that a net joins at each vertex
  */
-import { unpack, unpackAmplitudes, unpackShapes, zeros } from "./arrays.js";
-import { toTime } from "./fft.js";
+import { toTime, unpack, unpackAmplitudes, unpackShapes, zeros } from "./numeric.js";
 
 const PER_CYCLE = 8;
 const INSTANTS = 96; // of a passage: two to a cycle of the highest frequency that carries any energy to speak of
@@ -26,7 +25,7 @@ export class Field {
     this.amplitudes = content.amplitudes && unpackAmplitudes(content.amplitudes);
     this.k = content.surfaces[0].shapes.values.shape[2];
     this.inputs = inputs;
-    /** Tables for discs anywhere, if the skin is flat. @type {import("./anywhere.js").Anywhere | null} */
+    /** Tables for discs anywhere, if the skin is flat. @type {import("./moves.js").Anywhere | null} */
     this.anywhere = null;
     this.words = content.words;
     this.error = content.error;
@@ -94,7 +93,7 @@ export class Field {
 
   /** What each disc alone sends out (bins x (contacts x radii)). @param {Complex} force @param {Complex} sent @param {number} bins @returns {Complex} */
   radiated(force, sent, bins) {
-    const inputs = sent.re.length / bins, table = /** @type {import("./anywhere.js").Anywhere} */ (this.anywhere), field = table.radial(), width = table.radii + 1, k = inputs * width, out = zeros(bins * k);
+    const inputs = sent.re.length / bins, table = /** @type {import("./moves.js").Anywhere} */ (this.anywhere), field = table.radial(), width = table.radii + 1, k = inputs * width, out = zeros(bins * k);
     for (let f = 0; f < bins; f++) for (let c = 0; c < inputs; c++) {
       let re = 0, im = 0;
       for (let i = 0; i < inputs; i++) {

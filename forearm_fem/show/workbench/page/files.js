@@ -1,9 +1,9 @@
 /**
  * What goes in and out of the page as files: WAV, CSV, JSON, TOML. Every refusal is one sentence.
  *
- * @typedef {import("./arrays.js").Complex} Complex
+ * @typedef {import("./numeric.js").Complex} Complex
  */
-import { zeros } from "./arrays.js";
+import { zeros } from "./numeric.js";
 
 /** A failure that the reader can act upon: one line, whatever a file's name or text hold. */
 export class FileProblem extends Error {

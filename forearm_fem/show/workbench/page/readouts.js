@@ -1,17 +1,14 @@
 /**
  * What is read beside the arms: S, displacements, drives and limits, spectra, conditioning, errors.
  *
- * @typedef {import("./app.js").App} App
+ * @typedef {import("./main.js").App} App
  * @typedef {import("./experiment.js").Method} Method
- * @typedef {import("./plots.js").Series} Series
+ * @typedef {import("./dom.js").Series} Series
  */
+import { $, across, draw, h, replace, say, sayUnit, valueAt } from "./dom.js";
 import { METHODS } from "./experiment.js";
-import { $, h, replace, say, sayUnit } from "./dom.js";
 import { between } from "./files.js";
-import { whyNone } from "./interval.js";
-import { across, draw, valueAt } from "./plots.js";
-import { levels } from "./strength.js";
-import { timeOf } from "./wavelet.js";
+import { levels, timeOf, whyNone } from "./signals.js";
 
 /** @type {Record<Method, string>} */
 export const CLASS = { "inverse filter": "inverse", funneling: "funneling", combination: "combination" };
@@ -141,7 +138,7 @@ function card(title, more, ...children) {
   return h("div", {}, h("h2", {}, title, h("small", { text: more ? ` ${more}` : "" })), ...children);
 }
 
-/** @param {import("./arrays.js").Complex} values @param {number} count @param {(b: number) => number} at @param {number} factor */
+/** @param {import("./numeric.js").Complex} values @param {number} count @param {(b: number) => number} at @param {number} factor */
 function sizes(values, count, at, factor) {
   return Float64Array.from({ length: count }, (_, b) => factor * Math.hypot(values.re[at(b)], values.im[at(b)]));
 }
@@ -225,9 +222,9 @@ function replayed(app) {
   return `${overlay.name} covers ${say(100 * known, 3)} % of the bins; this page's G differs from it by ${say(100 * Math.sqrt(miss / size), 3)} % over all entries and these bins.`;
 }
 
-/** The overlay on the page's bins; NaN where it says nothing. @param {App} app @returns {import("./arrays.js").Complex} */
+/** The overlay on the page's bins; NaN where it says nothing. @param {App} app @returns {import("./numeric.js").Complex} */
 function overlayOnBins(app) {
-  const { experiment } = app, overlay = /** @type {import("./app.js").Overlay} */ (app.overlay), { frequency } = experiment;
+  const { experiment } = app, overlay = /** @type {import("./main.js").Overlay} */ (app.overlay), { frequency } = experiment;
   const entries = experiment.points.length * experiment.inputs.length, out = { re: new Float64Array(frequency.length * entries), im: new Float64Array(frequency.length * entries) };
   for (let e = 0; e < entries; e++) for (const part of /** @type {("re" | "im")[]} */ (["re", "im"])) {
     const row = Float64Array.from(overlay.frequency, (_, k) => overlay.values[part][k * entries + e]), found = between(overlay.frequency, row, frequency);

@@ -1,10 +1,184 @@
+/** The picture: camera, what is seen, bodies, and pixels. */
+
+/**
+ * Where the arms are looked at from: one camera for all panels.
+ *
+ * @typedef {{turn: number, tilt: number, far: number, centre: number[]}} View  angles [rad], lengths [mm]
+ * @typedef {{x: number, y: number, w: number, h: number}} Box  [css px] from the canvas' upper left corner
+ */
+
+/** Unit vector from the centre to the eye. @param {View} view */
+export function eyeOf(view) {
+  return [Math.cos(view.tilt) * Math.cos(view.turn), Math.cos(view.tilt) * Math.sin(view.turn), Math.sin(view.tilt)];
+}
+
+/** @param {View} view @param {number} w @param {number} h @returns {Float32Array} column by column */
+export function matrixOf(view, w, h) {
+  const { turn, tilt, far, centre } = view, e = eyeOf(view);
+  const x = [-Math.sin(turn), Math.cos(turn), 0], y = [-Math.sin(tilt) * Math.cos(turn), -Math.sin(tilt) * Math.sin(turn), Math.cos(tilt)];
+  const dot = (/** @type {number[]} */ a) => a[0] * centre[0] + a[1] * centre[1] + a[2] * centre[2];
+  const rows = [[...x, -dot(x)], [...y, -dot(y)], [...e, -dot(e) - far]];
+  const f = 2.6 * Math.min(1, w / h), near = far / 20, end = far * 6, a = (near + end) / (near - end), b = (2 * near * end) / (near - end);
+  const out = new Float32Array(16);
+  for (let c = 0; c < 4; c++) {
+    out[4 * c] = ((f * h) / w) * rows[0][c];
+    out[4 * c + 1] = f * rows[1][c];
+    out[4 * c + 2] = a * rows[2][c] + (c === 3 ? b : 0);
+    out[4 * c + 3] = -rows[2][c];
+  }
+  return out;
+}
+
+/** Place [css px] in the panel and depth of a point [mm]. @param {Float32Array} m @param {ArrayLike<number>} p @param {Box} box
+ * @returns {[number, number, number]} */
+export function project(m, p, box) {
+  const q = [0, 1, 3].map((r) => m[r] * p[0] + m[4 + r] * p[1] + m[8 + r] * p[2] + m[12 + r]);
+  return [box.x + (0.5 + (0.5 * q[0]) / q[2]) * box.w, box.y + (0.5 - (0.5 * q[1]) / q[2]) * box.h, q[2]];
+}
+
+/**
+ * Which triangles of a surface a view can show: the others need neither be moved nor drawn.
+ *
+ * @typedef {import("./field.js").Surface} Surface
+ * @typedef {{faces: Uint16Array | Uint32Array, vertices: Uint32Array}} Seen  triangles, and the vertices that they use
+ */
+
+const ROOM = 1.25, EDGE_ON = 0.25; // of the panel, for what motion brings in; of a normal, for what motion turns
+
+/** All of a surface. @param {Surface} surface @returns {Seen} */
+export function all(surface) {
+  return { faces: surface.faces, vertices: Uint32Array.from({ length: surface.rest.length / 3 }, (_, v) => v) };
+}
+
+/** Vertices on open edges, through which the other side of the skin is seen. @param {Surface} surface @returns {Uint32Array} */
+export function openEdges(surface) {
+  const { faces, rest } = surface, n = rest.length / 3;
+  /** @type {Map<number, number>} */
+  const count = new Map();
+  for (let f = 0; f < faces.length; f += 3) for (let e = 0; e < 3; e++) {
+    const a = faces[f + e], b = faces[f + ((e + 1) % 3)], key = a < b ? a * n + b : b * n + a;
+    count.set(key, (count.get(key) ?? 0) + 1);
+  }
+  const open = new Set();
+  for (const [key, c] of count) if (c === 1) { open.add(Math.floor(key / n)); open.add(key % n); }
+  return Uint32Array.from(open);
+}
+
+/**
+ * Triangles inside the panel; those that face away are left out as long as no open edge lets one look inside.
+ * @param {Surface} surface @param {Uint32Array} open vertices on open edges @param {Float32Array} matrix to the panel
+ * @param {number[]} eye [mm] where it is looked from @param {boolean} opened whether a cut lets one look inside
+ * @returns {Seen}
+ */
+export function seen(surface, open, matrix, eye, opened) {
+  const { rest, faces } = surface, n = rest.length / 3, outside = new Uint8Array(n), used = new Uint8Array(n);
+  for (let v = 0; v < n; v++) outside[v] = sides(matrix, rest, 3 * v);
+  const inside = opened || open.some((v) => !outside[v]), kept = faces.slice();
+  let count = 0;
+  for (let f = 0; f < faces.length; f += 3) {
+    const a = faces[f], b = faces[f + 1], c = faces[f + 2];
+    if ((outside[a] & outside[b] & outside[c]) || !(inside || facing(rest, 3 * a, 3 * b, 3 * c, eye))) continue;
+    kept[count++] = a; kept[count++] = b; kept[count++] = c;
+    used[a] = used[b] = used[c] = 1;
+  }
+  let vertices = 0;
+  const list = new Uint32Array(n);
+  for (let v = 0; v < n; v++) if (used[v]) list[vertices++] = v;
+  return { faces: kept.slice(0, count), vertices: list.slice(0, vertices) };
+}
+
+/** Bits for the sides of the panel that a vertex lies beyond. @param {Float32Array} m @param {Float32Array} p @param {number} i */
+function sides(m, p, i) {
+  const [x, y, w] = [0, 1, 3].map((r) => m[r] * p[i] + m[4 + r] * p[i + 1] + m[8 + r] * p[i + 2] + m[12 + r]), most = ROOM * w;
+  return w <= 0 ? 0 : (x < -most ? 1 : x > most ? 2 : 0) | (y < -most ? 4 : y > most ? 8 : 0);
+}
+
+/** Whether a triangle, counted anticlockwise from outside, faces the eye or nearly. @param {Float32Array} p @param {number} a
+ * @param {number} b @param {number} c @param {number[]} eye */
+function facing(p, a, b, c, eye) {
+  const ux = p[b] - p[a], uy = p[b + 1] - p[a + 1], uz = p[b + 2] - p[a + 2], vx = p[c] - p[a], vy = p[c + 1] - p[a + 1], vz = p[c + 2] - p[a + 2];
+  const nx = uy * vz - uz * vy, ny = uz * vx - ux * vz, nz = ux * vy - uy * vx, ex = eye[0] - p[a], ey = eye[1] - p[a + 1], ez = eye[2] - p[a + 2];
+  return nx * ex + ny * ey + nz * ez > -EDGE_ON * Math.hypot(nx, ny, nz) * Math.hypot(ex, ey, ez);
+}
+
+/**
+ * What stands in the picture: moved skin, cones with their coils, lines where tissues meet.
+ *
+ * @typedef {import("./field.js").Surface} Surface
+ * @typedef {import("./device.js").Port} Port
+ */
+const HEIGHT_OF_CONE = 6, HEIGHT_OF_COIL = 9.85, RADIUS_OF_COIL = 7, AROUND = 28;
+
+/**
+ * Positions moved by `gain` [mm per m] and the smooth normals of what results, where it is seen.
+ * @param {Surface} surface @param {import("./picture.js").Seen} seen @param {Float32Array} moved [m] @param {number} gain
+ * @param {Float32Array} positions @param {Float32Array} normals
+ */
+export function deform(surface, seen, moved, gain, positions, normals) {
+  const { rest } = surface, { faces, vertices } = seen;
+  for (let i = 0; i < vertices.length; i++) for (let a = 3 * vertices[i], end = a + 3; a < end; a++) {
+    positions[a] = rest[a] + gain * moved[a];
+    normals[a] = 0;
+  }
+  for (let f = 0; f < faces.length; f += 3) {
+    const a = 3 * faces[f], b = 3 * faces[f + 1], c = 3 * faces[f + 2];
+    const x = positions[a], y = positions[a + 1], z = positions[a + 2];
+    const ux = positions[b] - x, uy = positions[b + 1] - y, uz = positions[b + 2] - z;
+    const vx = positions[c] - x, vy = positions[c + 1] - y, vz = positions[c + 2] - z;
+    const nx = uy * vz - uz * vy, ny = uz * vx - ux * vz, nz = ux * vy - uy * vx;
+    normals[a] += nx; normals[a + 1] += ny; normals[a + 2] += nz;
+    normals[b] += nx; normals[b + 1] += ny; normals[b + 2] += nz;
+    normals[c] += nx; normals[c + 1] += ny; normals[c + 2] += nz;
+  }
+}
+
+/** Triangles [mm] of a cone and its coil, and their normals. @param {Port} port @returns {{triangles: Float32Array, normals: Float32Array, top: number[]}} */
+export function actuatorBody(port) {
+  const foot = port.position.map((v) => 1e3 * v), axis = port.axis;
+  const side = Math.abs(axis[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0];
+  const u = unit(cross(axis, side)), v = cross(axis, u), low = Math.max(1e3 * port.radius, 0.8);
+  const profile = [[low, 0], [low, 0.3], [RADIUS_OF_COIL * 0.8, HEIGHT_OF_CONE], [RADIUS_OF_COIL, HEIGHT_OF_CONE], [RADIUS_OF_COIL, HEIGHT_OF_CONE + HEIGHT_OF_COIL], [0, HEIGHT_OF_CONE + HEIGHT_OF_COIL]];
+  /** @type {number[]} */
+  const triangles = [], normals = [];
+  const at = (/** @type {number[]} */ [r, z], /** @type {number} */ k) => {
+    const a = (2 * Math.PI * k) / AROUND, c = Math.cos(a), s = Math.sin(a);
+    return foot.map((f, i) => f + r * (c * u[i] + s * v[i]) + z * axis[i]);
+  };
+  for (let p = 0; p + 1 < profile.length; p++) for (let k = 0; k < AROUND; k++) {
+    const q = [at(profile[p], k), at(profile[p], k + 1), at(profile[p + 1], k + 1), at(profile[p + 1], k)];
+    const across = cross(minus(q[2], q[0]), minus(q[3], q[1]));
+    for (const i of [0, 1, 2, 0, 2, 3]) { triangles.push(...q[i]); normals.push(...across); }
+  }
+  const top = foot.map((f, i) => f + (HEIGHT_OF_CONE + HEIGHT_OF_COIL) * axis[i]);
+  return { triangles: Float32Array.from(triangles), normals: Float32Array.from(normals), top };
+}
+
+/** @param {number[]} a @param {number[]} b */
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+/** @param {number[]} a @param {number[]} b */
+const minus = (a, b) => a.map((v, i) => v - b[i]);
+/** @param {number[]} a */
+const unit = (a) => { const s = Math.hypot(...a) || 1; return a.map((v) => v / s); };
+
+/** Lines where tissues meet and where the section ends: pairs of vertices. @param {Surface} surface @returns {Uint32Array} */
+export function outlines(surface) {
+  /** @type {Map<string, number[]>} */
+  const seen = new Map();
+  for (let f = 0; f < surface.faces.length / 3; f++) for (let e = 0; e < 3; e++) {
+    const a = surface.faces[3 * f + e], b = surface.faces[3 * f + ((e + 1) % 3)], key = a < b ? `${a} ${b}` : `${b} ${a}`;
+    seen.set(key, [...(seen.get(key) ?? []), surface.tissue ? surface.tissue[f] : 0]);
+  }
+  const pairs = [...seen].filter(([, t]) => t.length === 1 || t[0] !== t[1]).flatMap(([key]) => key.split(" ").map(Number));
+  return Uint32Array.from(pairs);
+}
+
 /**
  * Triangles drawn by the processor, as quickly with a graphics processor as without one: one buffer of pixels and depths,
  * one panel after the other.
  *
- * @typedef {import("./view.js").View} View
- * @typedef {import("./view.js").Box} Box
- * @typedef {import("./seen.js").Seen} Seen
+ * @typedef {import("./picture.js").View} View
+ * @typedef {import("./picture.js").Box} Box
+ * @typedef {import("./picture.js").Seen} Seen
  * @typedef {{matrix: Float32Array, eye: number[], panel: Panel}} Camera
  * @typedef {{left: number, top: number, right: number, bottom: number, x: number, y: number, w: number, h: number}} Panel [pixels]
  * @typedef {{limit: number, table: Uint32Array, cut: number[] | null, flat: boolean}} Look  colours end at `limit` [m]

@@ -1,20 +1,115 @@
+/** Signals: the wavelet, S of what moves, and its interval. */
+import { toSpectrum, toTime, unpack, zeros } from "./numeric.js";
+import { aim, respond } from "./rendering.js";
+
+/**
+ * The stimulus and what S is taken over. As Python's rendering/wavelet.py.
+ *
+ * @typedef {{rate: number, n: number}} Record
+ * @typedef {{samples: Float64Array, name: string, kind: "ricker" | "burst" | "file" | "own", peak?: number}} Wavelet  a "file" is the run's
+ */
+const HEARD = 1e-3, ROOM = 0.05;
+
+/** Time [s] of sample j. @param {Record} record @param {number} j */
+export function timeOf(record, j) {
+  return (j - Math.floor(record.n / 2)) / record.rate;
+}
+
+/** A (1 - s^2) exp(-s^2 / 2), s = t sqrt(2) pi peak. @param {number} peak [Hz] @param {Record} record @returns {Wavelet} */
+export function ricker(peak, record) {
+  if (!(peak > 0) || 3 * peak > record.rate / 2 || 6 / peak > record.n / record.rate) {
+    const [low, high] = [(6 * record.rate) / record.n, record.rate / 6];
+    throw new RangeError(`a Ricker wavelet of this record peaks between ${low.toFixed(1)} and ${high.toFixed(0)} Hz, got ${peak}`);
+  }
+  const samples = Float64Array.from({ length: record.n }, (_, j) => {
+    const s = timeOf(record, j) * Math.SQRT2 * Math.PI * peak;
+    return (1 - s * s) * Math.exp((-s * s) / 2);
+  });
+  return { samples, name: `Ricker ${peak} Hz`, kind: "ricker", peak };
+}
+
+/** A sine of some cycles under a half cosine squared. @param {number} frequency [Hz] @param {number} cycles
+ * @param {Record} record @returns {Wavelet} */
+export function burst(frequency, cycles, record) {
+  const length = cycles / frequency;
+  if (!(frequency > 0) || frequency > record.rate / 4 || !(cycles >= 1) || length > record.n / record.rate / 2) {
+    throw new RangeError(`a burst needs 1 cycle or more, up to ${(record.rate / 4).toFixed(0)} Hz and half the record of ${record.n / record.rate} s`);
+  }
+  const samples = Float64Array.from({ length: record.n }, (_, j) => {
+    const t = timeOf(record, j);
+    return Math.abs(t) < length / 2 ? Math.cos((Math.PI * t) / length) ** 2 * Math.cos(2 * Math.PI * frequency * t) : 0;
+  });
+  return { samples: placed(samples, record), name: `burst ${frequency} Hz, ${cycles} cycles`, kind: "burst" };
+}
+
+/** Samples set into the record, their largest at t = 0 and of size 1. @param {Float64Array} samples @param {Record} record
+ * @returns {Float64Array} */
+export function placed(samples, record) {
+  let peak = 0;
+  samples.forEach((v, j) => { if (Math.abs(v) > Math.abs(samples[peak])) peak = j; });
+  const out = new Float64Array(record.n), shift = Math.floor(record.n / 2) - peak + record.n;
+  samples.forEach((v, j) => { out[(j + shift) % record.n] = v / Math.abs(samples[peak]); });
+  return out;
+}
+
+/** Start and end [s]: the samples above 1e-3 of the largest and 50 ms on either side. @param {Float64Array} samples
+ * @param {Record} record @returns {[number, number]} */
+export function windowOf(samples, record) {
+  const most = samples.reduce((a, v) => Math.max(a, Math.abs(v)), 0);
+  let first = record.n - 1, last = 0;
+  samples.forEach((v, j) => { if (Math.abs(v) > HEARD * most) { first = Math.min(first, j); last = j; } });
+  const start = Math.floor(1e3 * (timeOf(record, first) - ROOM)) / 1e3, end = Math.ceil(1e3 * (timeOf(record, last) + ROOM)) / 1e3;
+  return [Math.max(start, timeOf(record, 0)), Math.min(end, timeOf(record, record.n - 1))];
+}
+
+/**
+ * Signal strength S and the drives' limits. As Python's metrics/strength.py and rendering/drives.py.
+ *
+ * @typedef {import("./signals.js").Record} Record
+ */
+
+/** Mean |u| over the window [s], or all samples if null. @param {Float64Array} u @param {Record} record
+ * @param {[number, number] | null} window */
+export function area(u, record, window) {
+  let sum = 0, count = 0;
+  for (let j = 0; j < u.length; j++) {
+    const t = timeOf(record, j);
+    if (window && (t < window[0] || t > window[1])) continue;
+    sum += Math.abs(u[j]);
+    count++;
+  }
+  return sum / count;
+}
+
+/** S (eq. 9 of de Vlam 2022): the target's area over the mean of the others that are known.
+ * @param {number[]} areas @param {number} target */
+export function strengthOf(areas, target) {
+  const others = areas.filter((a, i) => i !== target && Number.isFinite(a));
+  if (!Number.isFinite(areas[target]) || !others.length) return NaN;
+  const mean = others.reduce((a, b) => a + b, 0) / others.length;
+  return mean > 0 ? areas[target] / mean : areas[target] > 0 ? Infinity : NaN;
+}
+
+/** Peak [V], rms [V] and mean power [W] in the coil over the record. @param {Float64Array} signal @param {number} resistance */
+export function levels(signal, resistance) {
+  let peak = 0, square = 0;
+  for (const v of signal) { peak = Math.max(peak, Math.abs(v)); square += v * v; }
+  square /= signal.length;
+  return { peak, rms: Math.sqrt(square), power: square / resistance };
+}
+
 /**
  * How far S may be off: S of copies of G that err as G is stated to. As Python's rendering/interval.py, with random numbers
  * of its own.
  *
- * @typedef {import("./arrays.js").Complex} Complex
+ * @typedef {import("./numeric.js").Complex} Complex
  * @typedef {import("./experiment.js").Experiment} Experiment
- * @typedef {import("./renderers.js").Placed} Placed
- * @typedef {import("./wavelet.js").Record} Record
+ * @typedef {import("./rendering.js").Placed} Placed
+ * @typedef {import("./signals.js").Record} Record
  * @typedef {(frequency: Float64Array, entries: number) => Complex} Noise  (frequency x entries), of unit variance
  * @typedef {{whole: boolean, size: Float64Array}} Source  e(f) of the whole G, or errors of (frequency x entries)
  * @typedef {{rows: number[], index: Int32Array, record: Record, samples: Float64Array}} Short  a shorter record and its bins
  */
-import { unpack, zeros } from "./arrays.js";
-import { toSpectrum, toTime } from "./fft.js";
-import { aim, respond } from "./renderers.js";
-import { area, strengthOf } from "./strength.js";
-import { windowOf } from "./wavelet.js";
 
 const DRAWS = 12, CORRELATION = 50, WAVES = 64; // [Hz] over which errors are smooth
 const HALF_WIDTH = 1.5, LEAST_SPAN = 4; // rms changes of log S (decision on the interval of S); windows that the record holds
@@ -32,7 +127,7 @@ export function whyNone(content, errors = content.errors) {
  *
  * Each draw adds independent smooth noise of every source, as large as it states at each pair of ports or e(f) max|G|, and aims anew; no target gets less than the rms of
  * its method over all. A changed device's G is taken to err by the same shares as the run's.
- * @param {Experiment} experiment @param {import("./renderers.js").Method[]} methods @param {Noise} noise
+ * @param {Experiment} experiment @param {import("./rendering.js").Method[]} methods @param {Noise} noise
  * @returns {Generator<undefined, number[][], undefined>}
  */
 export function* halves(experiment, methods, noise) {
@@ -65,7 +160,7 @@ export function* halves(experiment, methods, noise) {
 }
 
 /** S of one method at one target on the short record; NaN where the method reaches nothing. @param {Experiment} experiment
- * @param {Short} short @param {import("./renderers.js").Method} method @param {number} target @param {Placed} aimed
+ * @param {Short} short @param {import("./rendering.js").Method} method @param {number} target @param {Placed} aimed
  * @param {Placed} played @param {Map<string, any>} known */
 function strengthIn(experiment, short, method, target, aimed, played, known) {
   const { rule, amplitude } = experiment.settings, all = toSpectrum(short.samples, short.record.rate);
