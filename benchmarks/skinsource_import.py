@@ -27,7 +27,7 @@ from forearm_fem.rendering import (
     SearchedZeros,
     render_all,
 )
-from forearm_fem.show.calibration import plot_entries
+from forearm_fem.show.matrix import plot_entries
 from forearm_fem.transfer import TransferMatrix
 
 ROOT = Path(__file__).parents[1]

@@ -10,7 +10,7 @@ import json
 import sys
 from pathlib import Path
 
-from forearm_fem.show.track import FILE, TrackRecord
+from forearm_fem.show.answer import FILE, TrackRecord
 
 if __name__ == "__main__":
     found = json.loads((Path(sys.argv[1]) / "validation.json").read_text(encoding="utf-8"))

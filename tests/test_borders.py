@@ -33,7 +33,7 @@ from forearm_fem.questions.design import load_design
 from forearm_fem.rendering import ricker
 from forearm_fem.scenario import Scenario, apply_overrides, load_scenario, parse_scenario
 from forearm_fem.scenario.measurement import DaqOptions
-from forearm_fem.show.calibration import save_live
+from forearm_fem.show.matrix import save_live
 from forearm_fem.show.report import _layered, thesis_fit
 from forearm_fem.study.plan import load_study
 from forearm_fem.transfer import TransferMatrix

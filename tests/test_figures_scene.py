@@ -30,7 +30,7 @@ from forearm_fem.results.files import (
 )
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show import Results
-from forearm_fem.show.patch import volar_patch
+from forearm_fem.show.motion import volar_patch
 from forearm_fem.store.record import save
 from forearm_fem.transfer import Compliance, ErrorEstimate, TransferMatrix
 

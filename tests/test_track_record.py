@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from forearm_fem.show.track import PAGE, TrackRecord, track_record
+from forearm_fem.show.answer import PAGE, TrackRecord, track_record
 
 ROOT = Path(__file__).resolve().parents[1]
 

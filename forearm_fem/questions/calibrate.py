@@ -102,7 +102,7 @@ class CalibrationResult(Manners):
 
     def plot(self) -> Figure:
         """Entries with their scatter, coherence, and what was measured."""
-        from ..show.calibration import live
+        from ..show.matrix import live
 
         return live(self.measured.transfer, self.measured.coherence)
 
@@ -147,7 +147,7 @@ def run_calibration(
         nonlocal drawn
         due = len(step.entries) == step.total or time.monotonic() - drawn >= _PAUSE
         if figure and due and not step.reused:
-            from ..show.calibration import save_live
+            from ..show.matrix import save_live
 
             now = assembled(plan, step.entries, device.name)
             save_live(target / "live.png", now.transfer, now.coherence)

@@ -20,10 +20,9 @@ except ValueError:  # it looks at MPLBACKEND while it is imported, and knows no 
     ) from None
 
 from .data import Results
-from .device import drive_levels, impedance, plot_drives, plot_impedance
+from .device import drive_levels, impedance, method, plot_drives, plot_impedance, plot_method
 from .judge import errors, plot_errors, plot_strength_maps, plot_table_one, strengths, table_one
 from .matrix import conditioning, conditioning_of, plot_conditioning, plot_transfer, transfer_of
-from .methods import method, plot_method
 from .registry import FigureKind, applies, kinds, make_figures
 from .targets import plot_target, target_waves
 from .waves import dispersion, plot_dispersion, plot_travel, travel

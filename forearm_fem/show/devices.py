@@ -23,13 +23,21 @@ from ..results.draws import DRAWS_FILE, DrawsFile
 from ..store.record import load
 from ..transfer import total_error
 from ..typing import BoolArray, FloatArray
-from .answer import MethodAnswer, asked_of, interval_words, just_counted, method_answers, not_counted, subject_of
+from .answer import (
+    MethodAnswer,
+    asked_of,
+    interval_words,
+    just_counted,
+    method_answers,
+    not_counted,
+    subject_of,
+    track_record,
+)
 from .data import Results
 from .facts import accuracy_words
 from .judge import Strengths, plot_strength_map, strengths
 from .page import Block, Page, Section, embedded
 from .style import GREY, INK, single, styled
-from .track import track_record
 
 _SAME = 1e-3  # m: points this near are the same
 _PEAK = 1e-6  # m: the motion of a target that volts are told for

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 
 from ..store.folder import write_text
 from ..usercode import is_code
+from .answer import track_record
 from .page import Block, Page, Section, as_csv, embedded
 from .style import GREY, INK, SIGNED, Drawn, letter, method_look, panels, styled
-from .track import track_record
 
 # Figures of a prediction: bands of S over arms, which method wins, and what drives S.
 

@@ -19,7 +19,7 @@ from ..errors import DataError, ForearmError, NotApplicable
 from ..progress import Progress, tell
 from ..rendering.funneling import is_thesis_grid
 from ..store.folder import atomic_path, write_text
-from . import device, film, judge, matrix, mesh, methods, targets, waves
+from . import device, film, judge, matrix, scene, targets, waves
 from .answer import beside_thesis
 from .data import Results
 from .page import as_csv, tables
@@ -52,7 +52,7 @@ _SIGNALS = ("transfer.nc", "drives.nc", "displacements.nc")
 _STRENGTHS = ("transfer.nc", "signal_strength.csv")
 _FIXED = (
     FigureKind("figure-2", "A wavelet along a line", waves.travel, waves.plot_travel, needs=_SIGNALS[:2]),
-    FigureKind("figure-4", "From sweep to transfer function to drives", methods.method, methods.plot_method,
+    FigureKind("figure-4", "From sweep to transfer function to drives", device.method, device.plot_method,
                needs=_SIGNALS),
     FigureKind("table-1", "Signal strength beside the thesis' Table I", lambda r: judge.table_one(judge.strengths(r)),
                judge.plot_table_one, judge.table_one_extra, _STRENGTHS),
@@ -66,7 +66,7 @@ _FIXED = (
                optional=("compliance",)),
     FigureKind("wavefield", "The skin at the moment of focus", film.wavefield, film.plot_wavefield, needs=_SIGNALS,
                optional=("mesh.vtu", "wavefield.nc")),
-    FigureKind("mesh", "The mesh cut open", mesh.cutaway, mesh.plot_cutaway, optional=("mesh.vtu",)),
+    FigureKind("mesh", "The mesh cut open", scene.cutaway, scene.plot_cutaway, optional=("mesh.vtu",)),
     FigureKind("errors", "Estimated errors of G by source", judge.errors, judge.plot_errors, optional=("errors",)),
     FigureKind("strength", "Signal strength over the targets", lambda r: judge.strengths(r).to_xarray(),
                judge.plot_strength_maps, needs=_STRENGTHS),

@@ -16,12 +16,10 @@ from scipy.interpolate import griddata
 
 from ..errors import DataError, NotApplicable
 from ..ports import positions
-from ..rendering import to_spectrum
-from ..results.files import Signals, Wavefield
-from ..typing import ComplexArray, FloatArray
-from .data import Results, places, record_of
+from ..typing import FloatArray
+from .data import Results, places
 from .device import active_span
-from .patch import volar_patch
+from .motion import drive_series, signal_of, volar_patch
 from .style import (
     COLUMN,
     FAINT,
@@ -40,7 +38,6 @@ from .style import (
 
 _INSTANTS = 6
 _FLAT = 1e-3  # of the grid's size: points that are no further off a line span no surface
-_MISSED = 1e-6  # of the drives' energy: rounding leaves 1e-14 beside the bins of the field
 _BAR = 10.0  # mm: the scale below a map
 _AROUND = 0.04  # s to either side of the focus: what a trace shows
 _MESH = 41  # points per side of the interpolated map
@@ -60,7 +57,7 @@ def target_waves(results: Results, target: str) -> xr.Dataset:
     span = np.ptp(at, axis=0)  # a line of points, or one, is given a width to be seen by
     aside = np.where(span > 0, 0.0, max(float(span.max()), 0.01) / 20)
     x, y = (np.linspace(p.min() - a, p.max() + a, _MESH) for p, a in zip(at.T, aside, strict=True))
-    values = np.array([_one(moved, m, target) for m in moved.methods])
+    values = np.array([signal_of(moved, m, target) for m in moved.methods])
     when = np.array([moments(moved.time, v, moved.channels.index(target)) for v in values])
     samples = np.searchsorted(moved.time, when - 1e-9)
     between = [_between(at, v[:, s].T, x, y) for v, s in zip(values, samples, strict=True)]
@@ -83,10 +80,6 @@ def target_waves(results: Results, target: str) -> xr.Dataset:
     data = data.assign({f"vertex_{c}": ("vertex", patch.points[:, k], metres) for k, c in enumerate("xyz")})
     data["field"] = (("method", "instant", "vertex"), np.array(field), metres)
     return data.assign_coords(triangles=(("triangle", "corner"), patch.triangles))
-
-
-def _one(signals: Signals, method: str, target: str) -> FloatArray:
-    return np.asarray(signals.values[signals.methods.index(method), signals.targets.index(target)])
 
 
 def moments(time: FloatArray, values: FloatArray, row: int) -> FloatArray:
@@ -132,26 +125,6 @@ def _has_waves(results: Results, target: str) -> bool:
     except NotApplicable:
         return False
     return True
-
-
-def drive_series(drives: Signals, method: str, target: str, field: Wavefield, *, whole: bool = True) -> ComplexArray:
-    """Fourier-series amplitudes (n_input, n_frequency) of the drives on the wavefield's bins.
-
-    Raises NotApplicable unless these are bins of the drives, with ``whole`` all that they move anything on: the motion
-    at some of them alone would be a fraction of it, and come again and again.
-    """
-    record = record_of(drives)
-    index = np.rint(field.frequency / record.df).astype(int)
-    spectrum = to_spectrum(_one(drives, method, target), record)
-    off = np.abs(index * record.df - field.frequency) > 1e-3 * record.df
-    inside = index[~off & (index < spectrum.shape[1])]
-    left = np.delete(np.abs(spectrum) ** 2, inside, axis=1).sum()
-    if off.any() or (whole and left > _MISSED * np.sum(np.abs(spectrum) ** 2)):
-        raise NotApplicable(
-            f"the field between the points is known at {len(index)} frequencies, and the drives lie on others between "
-            "them; leave out sweep.frequencies, or `forearm-fem render` again where they are of another sweep"
-        )
-    return np.asarray(spectrum[:, index] * record.df)
 
 
 @dataclass(frozen=True)

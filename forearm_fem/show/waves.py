@@ -28,7 +28,7 @@ from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .data import Results
 from .matrix import shown
-from .patch import volar_patch
+from .motion import volar_patch
 from .style import COLUMN, FAINT, GREY, MICRO, PAGE, letter, sheet, styled
 
 _STRAIGHT = 0.5  # rad: beyond, the phase along the line is no line

@@ -15,10 +15,10 @@ from matplotlib.ticker import MaxNLocator
 
 from ... import __version__
 from ...metrics.strength import strength_text
+from ...show.answer import track_record
 from ...show.page import Block, Page, Picture, Section, embedded
 from ...show.registry import save_drawn
 from ...show.style import ACTUATORS, FAINT, GREY, INK, panels, styled, widen
-from ...show.track import track_record
 from ...store.folder import write_text
 from ...store.record import save_arrays
 from ...store.text import write_json

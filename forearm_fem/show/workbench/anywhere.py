@@ -26,8 +26,7 @@ from ...progress import Progress
 from ...scenario import Scenario
 from ...transfer import ErrorEstimate, TransferMatrix, finite
 from ...typing import ComplexArray, FloatArray, IntArray
-from .flat import MARGIN
-from .packed import packed
+from .field import MARGIN, packed
 from .places import moved
 
 __all__ = ["CLOSEST", "Anywhere", "anywhere_of", "packed_anywhere"]
@@ -139,7 +138,7 @@ def _room(scenario: Scenario, middle: FloatArray, half: FloatArray) -> FloatArra
 
 
 def packed_anywhere(found: Anywhere, missed: ErrorEstimate, ports: Sequence[Port]) -> dict[str, Any]:
-    """Arrays that ``anywhere.js`` reads; of a symmetric pair of channels the upper half."""
+    """Arrays that ``moves.js`` reads; of a symmetric pair of channels the upper half."""
     upper = np.triu_indices(len(found.order))
     return {
         "order": found.order.tolist(), "ends": list(found.ends), "nodes": len(found.nodes),

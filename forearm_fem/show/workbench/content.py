@@ -46,9 +46,15 @@ from ...typing import FloatArray
 from ..data import PREDICTION, Results
 from ..style import METHODS, TISSUES
 from .anywhere import Anywhere, anywhere_of, packed_anywhere
-from .field import Field, solved_field
-from .flat import between_points, flat_field
-from .packed import amplitudes_in_half_precision, in_half_precision, packed
+from .field import (
+    Field,
+    amplitudes_in_half_precision,
+    between_points,
+    flat_field,
+    in_half_precision,
+    packed,
+    solved_field,
+)
 from .places import Places, patch_field, places_of
 
 FORMAT = 1  # of the content; the page's own files carry it too

@@ -16,8 +16,7 @@ from ...scenario import Scenario
 from ...scenario.sweep import frequencies
 from ...transfer import Compliance, ErrorEstimate, finite
 from ...typing import ComplexArray, FloatArray
-from .field import Field, Surface
-from .flat import net_faces, profile
+from .field import Field, Surface, net_faces, profile
 
 _FINE, _AT_ONCE = 300, 100  # places for what the grid's points feel, and how many are read at once
 _MOST = 60  # places that the library is asked for, seconds each; the page holds a number for each two of them

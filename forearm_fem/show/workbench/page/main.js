@@ -21,7 +21,7 @@ import { halves, noiseOf, timeOf, whyNone } from "./signals.js";
 const BEFORE = 0.012, AFTER = 0.045, HEARD = 1e-3;
 const PATIENCE = 250, SLICE = 12; // [ms] before intervals are drawn, and of work at a time
 
-export class App {
+class App {
   /** @param {import("./experiment.js").Experiment} experiment @param {import("./field.js").Field} field @param {Arms} arms */
   constructor(experiment, field, arms) {
     this.experiment = experiment;

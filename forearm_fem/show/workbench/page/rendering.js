@@ -50,7 +50,7 @@ function lines(coordinate, slack) {
  *
  * Actuators on a line or in triangles have the weights that Python found for each point (`known`).
  * @param {Port[]} inputs @param {Port} target @param {number[] | null} known @returns {number[] | string} */
-export function funnelingWeights(inputs, target, known) {
+function funnelingWeights(inputs, target, known) {
   const grid = latticeOf(inputs);
   if (!grid) return known ?? triangleWeights(inputs.map((p) => p.position), target.position) ?? `funneling does not reach this place: these ${inputs.length} actuators form no rectangle around it`;
   const at = turn(target.position, -grid.angle);
