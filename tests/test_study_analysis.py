@@ -19,9 +19,8 @@ pd = pytest.importorskip("pandas")
 from forearm_fem.cli.app import app  # noqa: E402
 from forearm_fem.errors import DataError, ScenarioError  # noqa: E402
 from forearm_fem.study.analysis import analyse, cells, confusion, ellipses, with_errors  # noqa: E402
-from forearm_fem.study.figures import plot_ellipses  # noqa: E402
 from forearm_fem.study.plan import Analysis, Study, Task  # noqa: E402
-from forearm_fem.study.report import write_analysis  # noqa: E402
+from forearm_fem.study.report import plot_ellipses, write_analysis  # noqa: E402
 
 pytestmark = pytest.mark.drawn
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.patches import Circle
@@ -35,9 +34,9 @@ from .answer import (
 )
 from .data import Results
 from .facts import accuracy_words
-from .judge import Strengths, plot_strength_map, strengths
+from .judge import Strengths, aspect, disc_radius, draw_points, plot_strength_map, strengths
 from .page import Block, Page, Section, embedded
-from .style import GREY, INK, single, styled
+from .style import GREY, single, styled
 
 _SAME = 1e-3  # m: points this near are the same
 _PEAK = 1e-6  # m: the motion of a target that volts are told for
@@ -330,25 +329,18 @@ def plot_difference_map(found: Devices, a: Device, b: Device, method: str, *, ax
         ratio = theirs / ours
     at = 1e3 * positions(a.data.outputs)[:, :2]
     motors = [(d, 1e3 * positions(d.data.inputs)[:, :2]) for d in (a, b)]
-    apart = np.linalg.norm(at[:, None] - at[None], axis=2)
-    radius = 0.36 * float(np.min(apart[apart > 0], initial=20.0))
+    radius = disc_radius(at)
     every = np.concatenate([at - radius, at + radius, *(p for _, p in motors)])
     low, high = every.min(axis=0) - 5, every.max(axis=0) + 5
-    axes = single(ax, (3.0, 3.0 * float(np.clip((high - low)[1] / (high - low)[0], 0.4, 1.5))))
+    axes = single(ax, (3.0, 3.0 * aspect(low, high)))
     norm = TwoSlopeNorm(0, -1, 1)  # a factor of two, for all maps
     for (device, places), line in zip(motors, ("-", ":"), strict=True):
         for place, port in zip(places, device.data.inputs, strict=True):
             axes.add_patch(Circle(place, 1e3 * port.radius, facecolor="none", edgecolor=GREY, ls=line, lw=0.9))
-    for k, (place, value) in enumerate(zip(at, ratio, strict=True)):
-        counts = found.shared is not None and bool(found.shared[k]) and np.isfinite(value) and value > 0
-        shade = float(np.clip(norm(np.log2(value)), 0, 1)) if counts else 0.5
-        face = colormaps["PuOr_r"](shade) if counts else "#DDDDDD"
-        axes.add_patch(Circle(place, radius, facecolor=face, edgecolor=INK if counts else GREY, lw=0.5))
-        if counts:
-            ink = "w" if abs(shade - 0.5) > 0.36 else INK
-            axes.annotate(f"×{value:.2f}", place, ha="center", va="center", fontsize=7.5, color=ink)
-        axes.annotate(a.data.targets[k], (place[0], place[1] - radius), (0, -1.5), textcoords="offset points",
-                      ha="center", va="top", fontsize=6, color="#555555")  # fmt: skip
+    shared = np.zeros(len(at), dtype=bool) if found.shared is None else found.shared
+    counted = shared & np.isfinite(ratio) & (ratio > 0)
+    words = [f"×{value:.2f}" if counts else "" for value, counts in zip(ratio, counted, strict=True)]
+    draw_points(axes, at, radius, ratio, norm, counted, words, a.data.targets)
     axes.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.axis("off")
     return axes

@@ -105,7 +105,7 @@ def strengths(results: Results) -> Strengths:
 def plot_strength_maps(data: xr.Dataset, *, width: int = PAGE) -> Figure:
     """S at each target seen from above, one map per method; white is 1, points that do not count are grey."""
     n, wide, bar_mm = data.sizes["method"], width > COLUMN, 16
-    tall = _aspect(*_extent(data)[:2]) * ((width - bar_mm) / n if wide else 56)
+    tall = aspect(*_extent(data)[:2]) * ((width - bar_mm) / n if wide else 56)
     figure = sheet(width, (tall + 8) * (1 if wide else n))
     axes = np.atleast_1d(figure.subplots(*((1, n) if wide else (n, 1)), sharey=True))
     norm = _norm(data)
@@ -130,7 +130,7 @@ def plot_strength_map(
     """
     corners = [_extent(each)[:2] for each in (data, *alike)]
     low, high = np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
-    axes = single(ax, (3.0, 3.0 * _aspect(low, high)))
+    axes = single(ax, (3.0, 3.0 * aspect(low, high)))
     norm = max((_norm(each) for each in (data, *alike)), key=lambda n: float(n.vmax or 0))
     _map(axes, data, list(data.method.values).index(method), norm, notes, (low, high))
     return axes
@@ -148,15 +148,14 @@ def _norm(data: xr.Dataset) -> TwoSlopeNorm:
 def _extent(data: xr.Dataset) -> tuple[FloatArray, FloatArray, float]:
     """Corners (x, y) [mm] of a map, and the radius [mm] of a point's disc on it."""
     at, coils = (1e3 * data[f"{side}_place"].values[:, :2] for side in ("output", "input"))
-    apart = np.linalg.norm(at[:, None] - at[None], axis=2)
-    radius = 0.36 * float(np.min(apart[apart > 0], initial=20.0))
+    radius = disc_radius(at)
     rims = 1e3 * data.radius.values[:, None]
     low = np.concatenate([at - radius, coils - rims]).min(axis=0) - (1.0, 6.0)
     high = np.concatenate([at + radius, coils + rims]).max(axis=0) + 1.0
     return low, high, radius
 
 
-def _aspect(low: FloatArray, high: FloatArray) -> float:
+def aspect(low: FloatArray, high: FloatArray) -> float:
     """Height of a map over its width."""
     wide, tall = high - low
     return float(np.clip(tall / wide, 0.4, 1.5))
@@ -176,27 +175,43 @@ def _map(
         beside = place[0] - max(radius, rim) - 0.5 if hidden else place[0]
         panel.annotate(name, (beside, place[1]), ha="right" if hidden else "center", va="center", fontsize=6,
                        color=GREY, zorder=6)  # fmt: skip
-    for k, (place, value) in enumerate(zip(at, data.S.values[m], strict=True)):
-        counts = bool(data.counted[k])
-        with np.errstate(divide="ignore"):
-            shade = float(np.clip(norm(np.log2(value)), 0, 1)) if np.isfinite(value) else 1.0 if value > 0 else 0.5
-        look: dict[str, Any] = {"edgecolor": INK if counts else GREY, "lw": 0.5, "ls": "-" if counts else ":"}
-        face = colormaps["PuOr_r"](shade) if counts else "#DDDDDD"
-        panel.add_patch(Circle(place, radius, facecolor=face, zorder=4, **look))
-        if not named:
-            continue
-        ink = GREY if not counts else "w" if abs(shade - 0.5) > 0.36 else INK
-        panel.annotate(f"{value:.2f}" if value < 10 else f"{value:.3g}", place, ha="center", va="center",
-                       fontsize=7.5, color=ink, zorder=5)  # fmt: skip
-        below = f"{data.target.values[k]} {notes[k] if counts else ''}".rstrip()
-        panel.annotate(below, (place[0], place[1] - radius), (0, -1.5), textcoords="offset points", ha="center",
-                       va="top", fontsize=6, color="#555555", zorder=5)  # fmt: skip
+    counted = data.counted.values
+    values = [f"{v:.2f}" if v < 10 else f"{v:.3g}" for v in data.S.values[m]]
+    below = [f"{t} {n if c else ''}".rstrip() for t, n, c in zip(data.target.values, notes, counted, strict=True)]
+    draw_points(panel, at, radius, data.S.values[m], norm, counted, values if named else (), below if named else ())
     panel.plot([low[0], low[0] + 10], [low[1] + 1.5] * 2, color=INK, lw=1.5, solid_capstyle="butt")
     panel.annotate("10 mm", (low[0] + 10, low[1] + 1.5), (3, 0), textcoords="offset points", va="center", fontsize=6)
     panel.annotate("elbow →", (high[0], low[1] + 1.5), ha="right", va="center", fontsize=6, color=GREY)
     panel.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     panel.axis("off")
     widen(panel)
+
+
+def draw_points(
+    panel: Axes, at: FloatArray, radius: float, ratios: FloatArray, norm: TwoSlopeNorm, counted: BoolArray,
+    words: Sequence[str], below: Sequence[str],
+) -> None:  # fmt: skip
+    """Points at ``at`` (n, 2) [mm] of a map as discs, coloured by log2 of ``ratios`` (n,), grey where not ``counted``;
+    ``words`` (n,) in them and ``below`` (n,), or none of either."""
+    for k, (place, value) in enumerate(zip(at, ratios, strict=True)):
+        counts = bool(counted[k])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shade = float(np.clip(norm(np.log2(value)), 0, 1)) if np.isfinite(value) else 1.0 if value > 0 else 0.5
+        look: dict[str, Any] = {"edgecolor": INK if counts else GREY, "lw": 0.5, "ls": "-" if counts else ":"}
+        face = colormaps["PuOr_r"](shade) if counts else "#DDDDDD"
+        panel.add_patch(Circle(place, radius, facecolor=face, zorder=4, **look))
+        if words:
+            ink = GREY if not counts else "w" if abs(shade - 0.5) > 0.36 else INK
+            panel.annotate(words[k], place, ha="center", va="center", fontsize=7.5, color=ink, zorder=5)
+        if below:
+            panel.annotate(below[k], (place[0], place[1] - radius), (0, -1.5), textcoords="offset points", ha="center",
+                           va="top", fontsize=6, color="#555555", zorder=5)  # fmt: skip
+
+
+def disc_radius(at: FloatArray) -> float:
+    """Radius [mm] of discs at ``at`` (n, 2) [mm] that leave room between them."""
+    apart = np.linalg.norm(at[:, None] - at[None], axis=2)
+    return 0.36 * float(np.min(apart[apart > 0], initial=20.0))
 
 
 def table_one(data: Strengths) -> xr.Dataset:
