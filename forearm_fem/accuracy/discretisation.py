@@ -19,7 +19,7 @@ from .estimates import raised_to_row_column_mean
 COARSER = math.sqrt(2)
 # Orders of convergence by the elements around the ports; third order loses some of it at points beside rims, where
 # fields are singular: nearer than BESIDE [m] to a rigid one, or as Scenario.beside_discs has it.
-SECOND_ORDER, THIRD_ORDER, THIRD_BESIDE_RIMS = 2.0, 3.8, 3.0
+SECOND_ORDER, THIRD_ORDER, THIRD_BESIDE_RIMS = 2.1, 3.6, 2.9
 BESIDE = 5e-3
 _NEIGHBOURHOOD = 1.25  # e(f) listens to frequencies up to this ratio away (a third of an octave)
 
