@@ -30,9 +30,9 @@ from forearm_fem.geometry.mesh.quality import mesh_quality
 from forearm_fem.geometry.user.meshes import user_mesh
 from forearm_fem.geometry.user.surfaces import read_surfaces
 from forearm_fem.geometry.user.triangles import read_triangles
-from forearm_fem.main_guard import _guarded
 from forearm_fem.measurement.calibrate import record
-from forearm_fem.rendering.bridging import Interpolation, filled_in
+from forearm_fem.processes import _guarded
+from forearm_fem.rendering.bridging import filled_in
 from forearm_fem.scenario import load_scenario, parse_scenario
 
 PORTS = (OUTPUTS[:2], INPUTS[:2])
@@ -651,7 +651,7 @@ def test_frequencies_printed_in_six_digits_are_on_their_bins():
     printed = np.array([float(f"{k * df:.6g}") for k in bins])
     rng = np.random.default_rng(0)
     values = rng.standard_normal((len(bins), 1)) + 1j * rng.standard_normal((len(bins), 1))
-    out, on = filled_in(printed / df, values, np.ones(values.shape, bool), bins, df, Interpolation())
+    out, on = filled_in(printed / df, values, np.ones(values.shape, bool), bins, df)
     assert on.all()
     assert np.array_equal(out, values)
 
@@ -735,7 +735,7 @@ def test_noise_is_no_error_of_interpolation_and_what_is_sampled_too_seldom_is():
 
     def filled(delay: float, noisy: bool) -> Any:
         values = np.exp(-2j * np.pi * f * delay) / (1 + (f / 100) ** 2) * (1 + noisy * noise)
-        return filled_in(2 * f, values[:, None], np.ones((len(f), 1), bool), bins, 0.5, Interpolation())
+        return filled_in(2 * f, values[:, None], np.ones((len(f), 1), bool), bins, 0.5)
 
     for noisy in (False, True):
         _, on = filled(0.01, noisy)

@@ -16,8 +16,7 @@ from scipy.interpolate import griddata
 from ..errors import DataError, NotApplicable
 from ..ports import positions
 from ..rendering import to_spectrum
-from ..results.files import Signals
-from ..results.wavefield import Wavefield
+from ..results.files import Signals, Wavefield
 from ..typing import ComplexArray, FloatArray
 from .data import Results, places, record_of
 from .device import active_span

@@ -15,9 +15,9 @@ from scipy.stats.qmc import LatinHypercube
 from ...accuracy.estimates import quadrature_estimate
 from ...device.loop import close_loop
 from ...engines.arm_meshes import ArmMeshes, arm_meshes
-from ...engines.engine import Engine
-from ...engines.layered import LayeredEngine, flat_disc, flat_layers, flat_surface
+from ...engines.layered import LayeredEngine, between_ports, flat_disc, flat_layers, flat_surface
 from ...engines.parametric import ParametricModel, parametric_model
+from ...engines.simulation import Engine
 from ...errors import ScenarioError
 from ...geometry.device.layout import layers_of
 from ...layered import layered_compliance
@@ -189,12 +189,10 @@ class LayeredBetween:
             surface=flat_surface(scenario.tissues), tolerance=self.tolerance, terms=_TERMS,
             orders=max(scattered_orders(discs) - _FEWER, 0),
         )  # fmt: skip
-        values = np.full((len(frequency), len(ports), len(ports)), np.nan + 0j)
-        values[:, :, : len(contacts)] = result.values
-        values[:, : len(contacts)] = result.values.swapaxes(1, 2)
         estimate = quadrature_estimate(
             frequency, result.error, "last terms and orders of the tractions under rigid discs, quadrature"
         )
+        values = between_ports(result.values, ports)
         return Compliance(frequency, values, ports, (estimate,), provenance={"engine": "layered"})
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ...device.loop import close_loop
-from ...engines.engine import Engine
 from ...engines.parametric import BEYOND, ParametricModel
+from ...engines.simulation import Engine
 from ...errors import DataError, ForearmError
 from ...files.declaration import Declaration, arbitrary_gain, declared_by
 from ...files.read import read
