@@ -57,7 +57,7 @@ def asked(accuracy: float) -> Asked:
     truth, stage = exact_solution(BAND), ledger.stages["all"]
     return Asked(
         accuracy, element_sizes(scenario).grid, model.operator.n, stage.seconds, spent, more,
-        stage.peak_memory_bytes, estimated_errors(coarse, values, BAND)[0], band_error(values, truth),
+        stage.peak_memory_bytes, estimated_errors(coarse, values, BAND).band, band_error(values, truth),
         band_error(values[:, _POINTS:], truth[:, _POINTS:]), float(relative_error(values, truth).max()),
     )  # fmt: skip
 

@@ -91,7 +91,7 @@ _SMALL = 15.0  # seconds that evaluating and certifying a reduced model takes fo
 _DERIVATIVES = 45  # about a rate, where 1e-4 is asked in 10-500 Hz
 _FROM_RATE = 1.6  # a sweep from a rate costs as much as so many expansions and certificates; measured with AVX-512
 _COPIES = 3  # of all signals: themselves, their spectra, and the array that is written
-_ESTIMATE = 1.2  # with the coarser mesh's solve
+_ESTIMATE = 1.35  # with the coarser mesh's solve
 _WIDEST = 300.0  # mm across: a stout thigh
 _OBLONG = 1.5  # times as long in y or z as in x: more likely turned than cut so short
 
