@@ -122,7 +122,8 @@ def reduced_sweep(
     """
     _refuse_lossless(model, frequency)
     residual = ENOUGH if tolerance is None else min(ENOUGH, _SHARE * tolerance)
-    work = Expander(model, options, Snapshots(kept), residual)
+    store = Snapshots(kept)
+    work = Expander(model, options, store, residual)
     try:
         made = work.about_rate(frequency, tolerance, progress) if starts_from_rate(model, options) else None
         if made is None:
@@ -137,6 +138,8 @@ def reduced_sweep(
             f"the reduced model breaks down in this band ({problem}); set solver.sweep = 'direct', or give the tissues "
             "more viscosity (tissues.override)"
         ) from None
+    finally:
+        store.finish()
     if tolerance is not None and result.certificates and result.reduction_error > _USELESS:
         raise SolverError(
             f"the reduced model of {len(result.expansions)} expansion frequencies may be wrong by "
@@ -178,7 +181,11 @@ def _certified(
             return made
         tell(progress, "certificates", len(made.certificates), len(made.certificates) + 1)
         elsewhere = max((error_at(made.reduced, work.model, f, c) for f, c in truths.items()), default=0.0)
-        found = work.foreseen(made, worst, tolerance) or work.compared(made, worst, tolerance)
+        found = work.foreseen(made, worst, tolerance)
+        if found is None and (richer := work.richer(made, tolerance, frequency)) is not None:
+            made = richer
+            continue
+        found = found or work.compared(made, worst, tolerance)
         if found is not None:
             return made.with_certificate(replace(found, elsewhere=elsewhere))
         truth = work.direct(worst.frequency)
