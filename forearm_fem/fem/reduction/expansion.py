@@ -41,7 +41,6 @@ _QUIET, _SPREAD = 30.0, -0.2  # [Hz] flesh on bone hardly resonates below; expan
 _LOWEST = 20.0  # [Hz] below, what a rate further up spans is enough
 _AT_ONCE = 5  # derivatives about a rate between two looks at what the last of them changed
 _AT_LEAST, _SLOW = 20, 60  # derivatives about a rate before the first look, and before resonances are called sharp
-_AHEAD = 0.25  # of the tolerance: change that the next derivatives would make, by how the last two changes fell
 _SHARP, _SEVERAL = 0.03, 3  # loss factor below which a mode may pass unseen between probes; one or two do not
 _SURE = 1e-2  # of the tolerance: what derivatives may change where resonances are sharp, for the bound to pass soon
 _TWICE = 2.0  # the error that a richer space finds: 0.7 to 2.3 times the true one (decision 0045)
@@ -112,15 +111,13 @@ class Snapshots:
 class ReducedSweepState:
     """A reduced model and what it was made from: a ``rate`` [1/s] with so many ``derivatives``, and ``expansions``.
 
-    These come without their vectors. ``change`` is that by the last derivatives about the rate. ``sharp`` says that
-    resonances were, and are, not trusted without a bound at every bin. ``residual`` is the largest of any solution,
-    ``solve_error`` what it causes in G.
+    These come without their vectors. ``sharp`` says that resonances were, and are, not trusted without a bound at every
+    bin. ``residual`` is the largest of any solution, ``solve_error`` what it causes in G.
     """
 
     reduced: ReducedModel
     rate: float = 0.0
     derivatives: int = 0
-    change: float = 0.0
     expansions: tuple[Expansion, ...] = ()
     certificates: tuple[Certificate, ...] = ()
     residual: float = 0.0
@@ -220,9 +217,9 @@ class Expander:
     ) -> ReducedSweepState | None:
         """The model on derivatives about :func:`expansion_rate`, as many as are needed.
 
-        That is until the next five would change nothing above a quarter of ``tolerance`` if changes went on falling as
-        they did, all that are allowed where it is None. Where a mode in the band loses little, or sixty derivatives do
-        not resolve it, resonances are sharp: see :meth:`_about_rate_with_care`.
+        That is until the last five change nothing above ``tolerance``, all that are allowed where it is None. Where
+        a mode in the band loses little, or sixty derivatives do not resolve it, resonances are sharp: see
+        :meth:`_about_rate_with_care`.
         """
         most, rate = self._options.rate_derivatives, expansion_rate(frequency)
         stored = self._store.chunks()
@@ -231,7 +228,7 @@ class Expander:
         tell(progress, "ordering", 1, 1)
         self._space = space = RateSpace(solver, self.model.functionals, rate, stored)
         tell(progress, "derivatives", 0, most)
-        reduced, derivatives, change = empty_model(self.model), 0, np.inf
+        reduced, derivatives = empty_model(self.model), 0
         for number in range(-(-most // _AT_ONCE)):
             chunk = stored[number] if number < len(stored) else space.more(min(_AT_ONCE, most - derivatives))
             if number >= len(stored):
@@ -240,30 +237,15 @@ class Expander:
                 break
             reduced, derivatives = with_last_columns(reduced, self.model, chunk.columns), chunk.derivatives
             tell(progress, "derivatives", derivatives, most)
-            if tolerance is not None and derivatives >= _AT_LEAST - _AT_ONCE:
+            if tolerance is not None and derivatives >= _AT_LEAST:
                 if derivatives == _AT_LEAST and sharp_modes(reduced, frequency, _SHARP) >= _SEVERAL:
                     return self._about_rate_with_care(frequency, _SURE * tolerance, progress)
-                before, change = change, largest_change(self.model, reduced, reduced.lower(), frequency)
-                ahead = change * min(change / before, 1.0) if before > 0 else 0.0
-                if derivatives >= _AT_LEAST and min(change, ahead / _AHEAD) <= tolerance:
+                change = largest_change(self.model, reduced, reduced.lower(), frequency)
+                if change <= tolerance:
                     break
                 if change > DOUBTFUL and derivatives >= _SLOW:
                     return self._about_rate_with_care(frequency, _SURE * tolerance, progress)
-        return ReducedSweepState(reduced, rate, derivatives, change, residual=space.residual)
-
-    def richer(self, made: ReducedSweepState, tolerance: float, frequency: FloatArray) -> ReducedSweepState | None:
-        """The model about a rate with further derivatives; None where the last ones changed no more than the
-        ``tolerance``, or the factors that they are made with are gone."""
-        most = self._options.rate_derivatives - made.derivatives
-        if self._space is None or made.change <= tolerance or made.sharp or most <= 0:
-            return None
-        chunk = self._space.more(min(_AT_ONCE, most))
-        if not chunk.columns.shape[1]:
-            return None
-        self._store.put_chunk(-(-made.derivatives // _AT_ONCE), chunk)
-        reduced = with_last_columns(made.reduced, self.model, chunk.columns)
-        change = largest_change(self.model, reduced, reduced.lower(), frequency)
-        return replace(made, reduced=reduced, derivatives=chunk.derivatives, change=change)
+        return ReducedSweepState(reduced, rate, derivatives, residual=space.residual)
 
     def _about_rate_with_care(
         self, frequency: FloatArray, wanted: float, progress: Progress | None
@@ -289,7 +271,7 @@ class Expander:
             if chunk.derivatives >= _AT_LEAST:
                 change = largest_change(self.model, reduced, reduced.lower(), frequency)
         made = ReducedSweepState(
-            reduced, expansion_rate(frequency), space.derivatives, change, residual=space.residual, sharp=True
+            reduced, expansion_rate(frequency), space.derivatives, residual=space.residual, sharp=True
         )
         return made if change <= wanted else None
 

@@ -181,11 +181,7 @@ def _certified(
             return made
         tell(progress, "certificates", len(made.certificates), len(made.certificates) + 1)
         elsewhere = max((error_at(made.reduced, work.model, f, c) for f, c in truths.items()), default=0.0)
-        found = work.foreseen(made, worst, tolerance)
-        if found is None and (richer := work.richer(made, tolerance, frequency)) is not None:
-            made = richer
-            continue
-        found = found or work.compared(made, worst, tolerance)
+        found = work.foreseen(made, worst, tolerance) or work.compared(made, worst, tolerance)
         if found is not None:
             return made.with_certificate(replace(found, elsewhere=elsewhere))
         truth = work.direct(worst.frequency)
