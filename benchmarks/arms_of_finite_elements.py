@@ -27,10 +27,10 @@ from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.device.place import place_ports
 from forearm_fem.questions.predict.arm import Answer, ReducedArm, arm_model, with_scene_geometry
 from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of
-from forearm_fem.questions.predict.outcome import Setup, setup_of
 from forearm_fem.questions.predict.run import expanded
 from forearm_fem.rendering import strengths
 from forearm_fem.rendering.interval import interval
+from forearm_fem.rendering.job import RenderJob
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.transfer import Compliance, TransferMatrix, band_error, total_error
@@ -70,16 +70,15 @@ def main() -> None:
     arm = arm_model(scene, draws=[scene, *(drawn(scene, 0, k, KINDS["tissue"]) for k in range(200))])
     assert isinstance(arm, ReducedArm)
     print(f"made in {time.process_time() - began:.0f} s, factor {arm.model.factor:.2g}", flush=True)
-    held = expanded(("measurement",), scene)
     first = close_loop(arm.compliance(scene, frequencies(scene.sweep)[:1]), scene.device)
-    setup, rows = setup_of(scene, first, Path(), held), []
+    job, rows = RenderJob.of(scene, first), []
     for kind in asked.kinds.split(","):
         for k in range(asked.first, asked.first + asked.arms):
             draw = drawn(scene, SEED, k, KINDS[kind])
             truth = solved(scene, draw, kind, asked.kept / f"{kind}-{k}.npz")
             if truth is not None:
                 rows.append({"kind": kind, "arm": str(k), "law": str(draw.tissues.override["skin"].law),
-                             **compared(arm, setup, draw, truth)})  # fmt: skip
+                             **compared(arm, job, draw, truth)})  # fmt: skip
                 print(rows[-1], flush=True)
     with (asked.out / "arms.csv").open("w", newline="", encoding="utf-8") as file:
         columns = dict.fromkeys(column for row in rows for column in row)
@@ -105,7 +104,7 @@ def solved(scene: Scenario, draw: Scenario, kind: str, kept: Path) -> Compliance
     return found
 
 
-def compared(arm: ReducedArm, setup: Setup, draw: Scenario, truth: Compliance) -> Mapping[str, str]:
+def compared(arm: ReducedArm, job: RenderJob, draw: Scenario, truth: Compliance) -> Mapping[str, str]:
     """One arm: errors of its compliance and of its S, and what is stated for both."""
     answer = arm.answer(draw, truth.frequency)
     found = answer.compliance
@@ -113,13 +112,12 @@ def compared(arm: ReducedArm, setup: Setup, draw: Scenario, truth: Compliance) -
     held = arm.compliance(with_scene_geometry(arm.scenario, draw), truth.frequency).block("point", "contact")
     g, true = (close_loop(c, draw.device) for c in (found, truth))
     others = [close_loop(c, draw.device) for c in answer.others]
-    job = setup.job
     values, wanted = (
         strengths(x, job.targets, job.methods, job.wavelet, window=job.window) for x in (g, true)
     )
     noise = tuple(e for e in g.errors if e.source not in answer.shown)
-    by_shape = spread_of(g, noise, setup, others)
-    by_noise = spread_of(g, g.errors, setup, [])
+    by_shape = spread_of(g, noise, job, others)
+    by_noise = spread_of(g, g.errors, job, [])
     off = np.abs(np.log(values / wanted))
     return {
         "held_band": f"{band_error(held, own):.2e}",
@@ -136,9 +134,8 @@ def compared(arm: ReducedArm, setup: Setup, draw: Scenario, truth: Compliance) -
     }
 
 
-def spread_of(g: TransferMatrix, errors: tuple, setup: Setup, others: list[TransferMatrix]) -> FloatArray:
+def spread_of(g: TransferMatrix, errors: tuple, job: RenderJob, others: list[TransferMatrix]) -> FloatArray:
     """Half widths of log S."""
-    job = setup.job
     return interval(g, errors, job.targets, job.span, job.methods, job.wavelet, draws=DRAWS, others=others)
 
 

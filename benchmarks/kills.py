@@ -2,7 +2,12 @@
 
 ``python benchmarks/kills.py [--only COMMAND,...] [--kills 3] [--seed 0] [--out FOLDER]`` runs each command once to its
 end, then kills it (kill -9) so often at random moments of that time and lets it end. Arrays of netCDF and lines of CSV
-must be equal, but for seconds. Caches and folders are fresh on both sides; numbers of threads are one.
+must be equal, but for seconds. Caches and folders are fresh on both sides; numbers of threads are one. A study's
+participant is a program that answers by the page's own requests.
+
+``--kind`` other than ``kills``: ``damaged`` halves every store and cache of a finished command, which must then give
+the same again; ``full`` lets no file grow beyond what a quarter of its largest needs, which must end in a sentence;
+``together`` starts two of a command at once, on one cache (both must be right) and in one folder (one may refuse).
 """
 
 from __future__ import annotations
@@ -10,14 +15,19 @@ from __future__ import annotations
 import argparse
 import contextlib
 import csv
+import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
+import urllib.request
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -56,7 +66,18 @@ scenario = "twin.toml"
 [grid]
 "device.spacing" = [0.03, 0.035, 0.04, 0.045, 0.05, 0.055]
 """
-FILES = {"slab.toml": SLAB, "twin.toml": TWIN, "design.toml": DESIGN, "campaign.toml": CAMPAIGN}
+STUDY = """name = "s"
+scenario = "twin.toml"
+transfer = "g/transfer.nc"
+participants = 1
+[[tasks]]
+name = "places"
+answer = "one point"
+repetitions = 1
+blocks = 1
+training = 0
+"""
+FILES = {"slab.toml": SLAB, "twin.toml": TWIN, "design.toml": DESIGN, "campaign.toml": CAMPAIGN, "study.toml": STUDY}
 COMMANDS = {
     "run": ("run", "quick", "--out", "out"),
     "predict": ("predict", "twin.toml", "--draws", "30", "--workers", "1", "--out", "out"),
@@ -64,21 +85,80 @@ COMMANDS = {
     "campaign": ("campaign", "campaign.toml", "--workers", "1", "--out", "out"),
     "library": ("library", "slab.toml", "--out", "out/arm.nc"),
     "calibrate": ("calibrate", "twin.toml", "--yes", "--seed", "1", "--out", "out"),
+    "study": ("study", "run", "study.toml", "--participant", "01", "--consent", "2026-01-01", "--data", "out"),
 }
-TIMES = ("seconds",)  # names of what differs between two runs of the same
-LEFT_OUT = ("work.sqlite",)
+TIMES = ("seconds", "onset", "duration", "response_time", "date", "session", "played", "time")  # of a run
 
 
-def started(command: tuple[str, ...], home: Path) -> subprocess.Popen[bytes]:
-    """The command in ``home``, with a cache of its own."""
-    caches = {"FOREARM_FEM_CACHE": str(home / "cache"), "NUMBA_CACHE_DIR": str(default_cache_dir() / "kernels")}
+def started(command: tuple[str, ...], home: Path, cache: Path | None = None, most: int = 0) -> subprocess.Popen[bytes]:
+    """The command in ``home``, with a cache of its own unless one is given; no file grows beyond ``most`` bytes."""
+    kernels = default_cache_dir() / "kernels"
+    caches = {"FOREARM_FEM_CACHE": str(cache or home / "cache"), "NUMBA_CACHE_DIR": str(kernels)}
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
     where = {**os.environ, **threads, **caches}
-    line = [sys.executable, "-m", "forearm_fem", *command]
+    line = [sys.executable, "-u", "-m", "forearm_fem", *command]
+    if most:
+        line = ["bash", "-c", f"ulimit -f {max(most // 1024, 1)}; exec \"$@\"", "bash", *line]
     with (home / "said").open("ab") as said:
         return subprocess.Popen(
             line, cwd=home, env=where, stdout=said, stderr=said, stdin=subprocess.DEVNULL, start_new_session=True
         )
+
+
+def prepared(folder: Path, name: str) -> Path:
+    """A folder with the scenes, and for a study the G that it plays."""
+    folder.mkdir(parents=True)
+    for file, text in FILES.items():
+        (folder / file).write_text(text)
+    if name == "study":
+        started(("run", "twin.toml", "--until", "solve", "--out", "g"), folder).wait()
+    return folder
+
+
+def ended(name: str, home: Path, **how: Any) -> int:
+    """Exit code of the command, run to its end; a study's participant answers all trials."""
+    process = started(COMMANDS[name], home, **how)
+    if name == "study":
+        participant(process, home)
+        os.killpg(process.pid, signal.SIGTERM)
+        process.wait()
+        return 0
+    return process.wait()
+
+
+def participant(process: subprocess.Popen[bytes], home: Path) -> None:
+    """Answers trial after trial until the task is done or the process is killed; keeps what was taken in ``given``."""
+    address = ""
+    while process.poll() is None and not address:
+        time.sleep(0.05)
+        found = re.findall(r"participant:\s+(\S+)", (home / "said").read_text())
+        address = found[-1] if found and found[-1] not in (home / "old").read_text().split() else ""
+    (home / "old").open("a").write(f"{address} ")
+    api = address.replace("/p/", "/api/")
+
+    def asked(what: str, body: dict[str, Any] | None = None) -> dict[str, Any]:
+        """Answer of the page's own request."""
+        data = None if body is None else json.dumps(body).encode()
+        request = urllib.request.Request(f"{api}/{what}", data, {"Content-Type": "application/json"})
+        return dict(json.loads(urllib.request.urlopen(request, timeout=20).read()))
+
+    while process.poll() is None:
+        try:
+            state = asked("state")
+            if state["waiting"] in ("start", "break"):
+                asked("start", {})
+            elif state["waiting"] == "present":
+                asked("present", {})
+            elif state["waiting"] == "answer":
+                n = int(state["answered"])
+                taken = asked("answer", {"points": [str(n * 5 % 9 + 1)], "answered": n})
+                if int(taken["answered"]) == n + 1:
+                    (home / "given").open("a").write(f"{n * 5 % 9 + 1}\n")
+            elif state["waiting"] == "done":
+                return
+            time.sleep(0.02)
+        except OSError:
+            time.sleep(0.05)
 
 
 def contents(folder: Path) -> dict[str, object]:
@@ -91,9 +171,10 @@ def contents(folder: Path) -> dict[str, object]:
                 for key in content:
                     if isinstance(content[key], h5py.Dataset) and not key.endswith(TIMES):
                         found[f"{name}: {key}"] = content[key][()]
-        elif file.suffix == ".csv":
+        elif file.suffix in (".csv", ".tsv"):
             with file.open(newline="") as stream:
-                rows = [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(stream)]
+                table = csv.DictReader(stream, delimiter="\t" if file.suffix == ".tsv" else ",")
+                rows = [{k: v for k, v in row.items() if k not in TIMES} for row in table]
             found[name] = rows
     return found
 
@@ -105,20 +186,25 @@ def same(a: object, b: object) -> bool:
     return type(a) is type(b) and (a == b or (isinstance(a, np.generic) and a.tobytes() == b.tobytes()))
 
 
-def tried(name: str, folder: Path, kills: int, rng: np.random.Generator) -> list[str]:
+def compared(one: Path, other: Path) -> list[str]:
+    """Names of what differs between two folders of results."""
+    a, b = contents(one), contents(other)
+    return sorted(key for key in a.keys() | b.keys() if not same(a.get(key), b.get(key)))
+
+
+def killed(name: str, folder: Path, kills: int, rng: np.random.Generator) -> list[str]:
     """What differs after ``kills`` from one go; prints a line."""
-    homes = [folder / name / side for side in ("whole", "killed")]
-    for home in homes:
-        home.mkdir(parents=True)
-        for file, text in FILES.items():
-            (home / file).write_text(text)
-    whole, killed = homes
+    whole, home = (prepared(folder / name / side, name) for side in ("whole", "killed"))
+    for each in (whole, home):
+        (each / "old").touch()
     began = time.monotonic()
-    if started(COMMANDS[name], whole).wait() != 0:
+    if ended(name, whole) != 0:
         return [f"{name}: the whole run failed; see {whole / 'said'}"]
     seconds, moments = time.monotonic() - began, []
     for _ in range(kills):
-        process, after = started(COMMANDS[name], killed), float(rng.uniform(0.1, 0.9)) * seconds
+        process, after = started(COMMANDS[name], home), float(rng.uniform(0.1, 0.9)) * seconds
+        if name == "study":
+            threading.Thread(target=participant, args=(process, home), daemon=True).start()
         try:
             process.wait(after)
         except subprocess.TimeoutExpired:
@@ -126,33 +212,93 @@ def tried(name: str, folder: Path, kills: int, rng: np.random.Generator) -> list
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
+        time.sleep(0.3)
     began = time.monotonic()
-    if started(COMMANDS[name], killed).wait() != 0:
-        return [f"{name}: the resumed run failed; see {killed / 'said'}"]
+    if ended(name, home) != 0:
+        return [f"{name}: the resumed run failed; see {home / 'said'}"]
     rest = time.monotonic() - began
-    one, other = (contents(home / "out") for home in homes)
-    differs = [key for key in one.keys() | other.keys() if not same(one.get(key), other.get(key))]
-    left = [str(p) for p in killed.rglob(".*") if p.is_file()]
+    differs = compared(whole / "out", home / "out")
+    left = [str(p) for p in home.rglob(".*") if p.is_file()]
     told = ", ".join(f"{m:.1f}" for m in moments)
     print(
-        f"{name}: {seconds:.1f} s in one go; killed after {told} s, then {rest:.1f} s; {len(one)} arrays and tables, "
-        f"{len(differs)} differ{': ' + ', '.join(sorted(differs)[:5]) if differs else ''}"
+        f"{name}: {seconds:.1f} s in one go; killed after {told} s, then {rest:.1f} s; "
+        f"{len(contents(whole / 'out'))} arrays and tables, "
+        f"{len(differs)} differ{': ' + ', '.join(differs[:5]) if differs else ''}"
         f"{'; left behind: ' + ', '.join(left) if left else ''}",
         flush=True,
     )
     return [f"{name}: {key}" for key in differs]
 
 
+def damaged(name: str, folder: Path, *_: Any) -> list[str]:
+    """What differs once every store and cache of a finished command was cut in half, and the results are gone."""
+    whole = prepared(folder / name / "whole", name)
+    (whole / "old").touch()
+    if ended(name, whole) != 0:
+        return [f"{name}: the whole run failed; see {whole / 'said'}"]
+    shutil.copytree(whole, home := folder / name / "damaged")
+    stores = [p for p in (*home.glob("cache/**/*"), *home.glob("out/**/*.sqlite")) if p.is_file()]
+    for file in stores:
+        content = file.read_bytes()
+        file.write_bytes(content[: len(content) // 2])
+    for file in (home / "out").rglob("*.nc"):
+        file.unlink()
+    code = ended(name, home)
+    differs = compared(whole / "out", home / "out")
+    told = f"{len(stores)} files cut in half, exit code {code}, {len(differs)} arrays and tables differ"
+    print(f"{name}: {told}", flush=True)
+    return [f"{name}: {key}" for key in differs] + [f"{name}: exit code {code}"] * (code != 0)
+
+
+def full(name: str, folder: Path, *_: Any) -> list[str]:
+    """What is wrong with how the command ends where files may not grow: a traceback, or another code than 2."""
+    whole = prepared(folder / name / "whole", name)
+    (whole / "old").touch()
+    if ended(name, whole) != 0:
+        return [f"{name}: the whole run failed; see {whole / 'said'}"]
+    largest = max(p.stat().st_size for p in (whole / "out").rglob("*") if p.is_file())
+    home = prepared(folder / name / "full", name)
+    code = started(COMMANDS[name], home, most=largest // 4).wait()
+    said = (home / "said").read_text()
+    last = said.strip().splitlines()[-1] if said.strip() else ""
+    wrong = code != 2 or "Traceback" in said
+    print(f"{name}: no file beyond {largest // 4} bytes: exit code {code}, {last[:150]!r}", flush=True)
+    return [f"{name}: see {home / 'said'}"] * wrong
+
+
+def together(name: str, folder: Path, *_: Any) -> list[str]:
+    """What differs of two at once on one cache, and of one or two in one folder, from one alone."""
+    whole, a, b, one = (prepared(folder / name / side, name) for side in ("whole", "a", "b", "one"))
+    for home in (whole, a, b, one):
+        (home / "old").touch()
+    if ended(name, whole) != 0:
+        return [f"{name}: the whole run failed; see {whole / 'said'}"]
+    cache = folder / name / "cache"
+    both = [started(COMMANDS[name], home, cache=cache) for home in (a, b)]
+    codes = [p.wait() for p in both]
+    same_folder = [started(COMMANDS[name], one) for _ in range(2)]
+    ends = sorted(p.wait() for p in same_folder)
+    differs = [k for home in (a, b, one) for k in compared(whole / "out", home / "out")]
+    wrong = codes != [0, 0] or ends not in ([0, 0], [0, 2]) or "Traceback" in (one / "said").read_text()
+    told = f"two on one cache end {codes}, two in one folder {ends}, {len(differs)} arrays and tables differ"
+    print(f"{name}: {told}", flush=True)
+    return [f"{name}: {k}" for k in differs] + [f"{name}: {codes}, {ends}"] * wrong
+
+
+KINDS = {"kills": killed, "damaged": damaged, "full": full, "together": together}
+
+
 def main() -> None:
     """All commands, or those of --only; exits with 1 where something differs."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default=",".join(COMMANDS))
+    parser.add_argument("--kind", choices=KINDS, default="kills")
     parser.add_argument("--kills", type=int, default=3)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path)
     asked = parser.parse_args()
     folder, rng = asked.out or Path(tempfile.mkdtemp()), np.random.default_rng(asked.seed)
-    wrong = [w for name in asked.only.split(",") for w in tried(name, folder, asked.kills, rng)]
+    wrong = [w for name in asked.only.split(",") for w in KINDS[asked.kind](name, folder, asked.kills, rng)]
     if asked.out is None and not wrong:
         shutil.rmtree(folder)
     print(*wrong, sep="\n")

@@ -23,7 +23,7 @@ import numpy as np
 
 from forearm_fem.engines.library import ArmLibrary, load_library, make_library, save_library
 from forearm_fem.engines.library.arm import library_skin
-from forearm_fem.engines.simulation import account_of, render_transfer, simulate
+from forearm_fem.engines.simulation import render_transfer, simulate
 from forearm_fem.ports import positions
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.transfer import band_error, relative_error, total_error
@@ -91,7 +91,7 @@ def compared(library: ArmLibrary, scenario: Scenario, raw: Path) -> dict[str, fl
     began = time.process_time()
     ours = simulate(scenario, engine=library).transfer
     rendering = render_transfer(scenario, ours)
-    account = account_of(scenario, ours, rendering)
+    account = rendering.strength
     took = time.process_time() - began
     theirs = replace(ours, values=full["full"], errors=())
     truth = np.array(render_transfer(scenario, theirs).strengths)

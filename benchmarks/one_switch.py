@@ -23,7 +23,6 @@ from forearm_fem.metrics.strength import thesis_table
 from forearm_fem.ports import Port
 from forearm_fem.questions.predict.arm import LayeredArm, without_bones
 from forearm_fem.questions.predict.draws import draw_inputs, load_priors, measured_of, scenario_of
-from forearm_fem.questions.predict.outcome import setup_of, with_nominal_ports
 from forearm_fem.questions.predict.run import expanded
 from forearm_fem.questions.predict.statistics import group_columns, group_means, joint_distance, log_score
 from forearm_fem.rendering.job import RenderJob
@@ -75,14 +74,14 @@ def rows_of(scenario: Scenario, number: int) -> dict[str, FloatArray]:
             every[grid] = [*range(len(contacts)), *range(len(at), len(at) + len(points))]
             at += points
         found = model._between(arm, tuple(at), f)
-        setup = None
+        job = None
         for row, of in seen.items():
             keep = every[of.grid]
             part = replace(found, values=found.values[:, keep][:, :, keep], ports=tuple(at[i] for i in keep))
             true = finite(close_loop(part, of.device))
-            setup = setup or setup_of(scenario, close_loop(model.compliance(scenario, f[:1]), scenario.device), Path())
-            g: TransferMatrix = reported(with_nominal_ports(true, setup), of, draw.generator("rig"))
-            out[row] = setup.job.strengths(g, g)[0, 0]
+            job = job or RenderJob.of(scenario, close_loop(model.compliance(scenario, f[:1]), scenario.device))
+            g: TransferMatrix = reported(job.on_nominal_ports(true), of, draw.generator("rig"))
+            out[row] = job.strengths(g, g)[0, 0]
             if row == "none":
                 wide = scenario.changed({"rendering.funneling_distance": "diagonal"})
                 out["D of eq. 6: the diagonal"] = RenderJob.of(wide, g).strengths(g, g)[0, 0]

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from forearm_fem.engines.simulation import account_of, render_transfer, simulate
+from forearm_fem.engines.simulation import render_transfer, simulate
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.transfer import band_error
 
@@ -68,7 +68,7 @@ def judged(name: str, folder: Path) -> tuple[list[Any], Any, Any]:
     found = pair(name, folder)
     scenario, fine, layered = scene(name, "fem"), found["fine"], found["layered"]
     rendering = render_transfer(scenario, fine)
-    account = account_of(scenario, fine, rendering)
+    account = rendering.strength
     true = np.abs(np.log(account.value / render_transfer(scenario, layered).strengths))
     half = np.log(account.high / account.low) / 2
     bands = {e.source: e.band for e in fine.errors}

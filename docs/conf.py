@@ -10,7 +10,8 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE / "_ext")]
 os.environ.setdefault("MPLBACKEND", "Agg")
-logging.getLogger("fontTools").setLevel(logging.WARNING)  # a page that saves PDF would tell each glyph
+for chatty in ("fontTools", "matplotlib.category"):  # each glyph of a PDF, each axis of points' names
+    logging.getLogger(chatty).setLevel(logging.WARNING)
 
 import forearm_fem  # noqa: E402
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+_EARLY = 0.1  # share of a stage before which its own pace tells nothing
+
 Progress = Callable[[str, int, int], None]
 """``progress(stage, done, total)``: the ``stage`` under way in words, and how many of its ``total`` parts are done.
 
@@ -67,6 +69,8 @@ class Journey:
         whole = pace * self.learnt.get(self.stage, 0.0)
         if 0 < self.done <= self.total and self.total > 1:  # its own count knows better, the further it is
             share = self.done / self.total
+            if not whole and share < _EARLY:
+                return 0.0  # nothing to go by: the first part often takes longest
             whole = here + (1 - share) * whole if whole else here / share
             return max(0.0, (1 - share) * max(whole, here))
         return max(0.0, whole - here)

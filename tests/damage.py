@@ -27,7 +27,7 @@ from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.geometry.user.checks import with_boundaries
 from forearm_fem.measurement.recording import Recording, read_recording, write_recording
 from forearm_fem.results import files as io
-from forearm_fem.results.wavefield import Wavefield
+from forearm_fem.results.files import Wavefield
 from forearm_fem.store.record import load, save
 
 RNG = np.random.default_rng(0)

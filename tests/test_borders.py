@@ -34,7 +34,6 @@ from forearm_fem.questions.predict import run as runs
 from forearm_fem.questions.predict.run import Question, predict
 from forearm_fem.rendering import ricker
 from forearm_fem.scenario import Scenario, apply_overrides, load_scenario, parse_scenario
-from forearm_fem.scenario.device import device_of
 from forearm_fem.scenario.measurement import DaqOptions
 from forearm_fem.show.calibration import save_live
 from forearm_fem.show.report import _layered, thesis_fit
@@ -282,9 +281,9 @@ def test_a_dead_channel_is_said_when_two_matrices_are_compared(dead: Any, says: 
         (lambda: Scenario(accuracy=7), "Scenario: accuracy: expected 1e-05 to 0.5, got 7"),
         (lambda: Scenario(device={"spacng": 0.04}), "Scenario: device.spacng: unknown key; did you mean "
                                                     "device.spacing?"),
+        (lambda: Scenario(tissues={"muscle": {"mu": 9e3}}), "Scenario: tissues.muscle: unknown key; did you mean "
+                                                            "tissues.override.muscle?"),
         (lambda: Scenario(limb={"length": "l"}), "Scenario: limb.length: input should be a valid number, got 'l'"),
-        (lambda: device_of(spacing=-1), "device: spacing: expected 0.0002 to 0.3 m, got -1"),
-        (lambda: device_of(**{"spacng": 0.04}), "device: spacng: unknown key; did you mean spacing?"),
         (lambda: Scenario(limb={"shape": "mesh", "depth": 0.02, "file": "a.vtu", "regions": {"1": "fat"}}),
          "Scenario: limb.depth: has no meaning where limb.shape is 'mesh'; leave it out"),
     ],

@@ -79,7 +79,7 @@ def test_the_ends_of_a_narrow_interval_are_told_apart():
     """Quiet data: "3.4, 3.4 to 3.4" says nothing; as many digits are printed as the interval is narrow."""
     result = fit(model, noisy(model(TRUE), 0, sigma=1e-11), PARAMETERS)
     rows = [line.split(" | ") for line in fit_text(result).splitlines()[2 : 2 + len(TRUE)]]
-    for _, value, interval, _ in rows:
+    for _, value, interval, *_ in rows:
         low, high = interval.split(" to ")
         assert float(low) < float(value) < float(high)
 
@@ -96,6 +96,24 @@ def test_scale_and_delay_are_fitted_with_the_rest():
     assert result.values["scale"] == pytest.approx(0.6, abs=4 * result.deviation["scale"])
     assert result.values["delay"] == pytest.approx(1.5e-3, abs=4 * result.deviation["delay"])
     assert result.values["speed"] == pytest.approx(3.4, abs=4 * result.deviation["speed"])
+
+
+def test_a_gain_of_one_actuator_is_told_and_found_beside_the_rest():
+    """One scale would be the mean of gains that differ, with a narrow interval."""
+    other = model(TRUE) * np.array([1.0, 0.8, *[1.0] * (len(INPUTS) - 2)])
+    data = TransferMatrix(F, other, OUTPUTS, INPUTS)
+    scale = Parameter("scale", 1.0, 0.2, 5.0, log=True, stage=0)
+    name = INPUTS[1].name
+    told = fit(model, data, (*PARAMETERS, scale))
+    assert max(told.left, key=told.left.__getitem__) == name
+    assert any(f"of {name}'s column" in s and "`gains`" in s for s in told.sentences)
+    gains = tuple(replace(scale, name=f"gain.{p.name}") for p in INPUTS)
+    found = fit(model, data, (*PARAMETERS, *gains))
+    expected = {**TRUE, **{g.name: 0.8 if g.name == f"gain.{name}" else 1.0 for g in gains}}
+    assert found.values == pytest.approx(expected, rel=1e-6)
+    assert not found.sentences
+    with pytest.raises(ScenarioError, match="leave scale out"):
+        run_fit(parse_scenario({}), data, ["scale", "gains"])
 
 
 def test_two_parameters_that_only_act_as_a_product_are_named():

@@ -42,7 +42,7 @@ def fitted(rows, names, **noise):
 
 
 def test_the_point_and_band_that_hear_a_parameter_are_named():
-    found = next_best(fitted(slice(None), ("near",)), everything, F, NAMES, 0.02)
+    found = next_best(fitted(slice(None), ("near",)), everything, F, NAMES, ["A1"], 0.02)
     assert (found.parameter, found.candidate.output) == ("loss", "far")
     assert found.candidate.band == (pytest.approx(F[20]), pytest.approx(320.0))  # of three bands the highest
     assert found.share < 0.2
@@ -52,7 +52,7 @@ def test_the_point_and_band_that_hear_a_parameter_are_named():
 def test_the_interval_shrinks_as_said_once_it_is_measured():
     """The forecast against a fit that has the measurement; both are linear at the same values but for noise."""
     before, rows = fitted(slice(None), ("near",)), slice(20, 30)
-    found = next_best(before, everything, F, NAMES, 0.02)
+    found = next_best(before, everything, F, NAMES, ["A1"], 0.02)
     columns = [NAMES.index("near")]
 
     def both(v):
@@ -80,7 +80,7 @@ def test_the_forecast_follows_the_misfit_and_not_what_was_said_of_the_noise(said
     taken = 0.05 * float(np.sqrt(np.mean(np.abs(data.values) ** 2))) if said is None else said
     right, other = (fit(lambda v: everything(v)[:, [0]], replace(data, deviation=d), PARAMETERS)
                     for d in (data.deviation, told))  # fmt: skip
-    shares = [next_best(r, everything, F, NAMES, n).share for r, n in ((right, 0.02), (other, taken))]
+    shares = [next_best(r, everything, F, NAMES, ["A1"], n).share for r, n in ((right, 0.02), (other, taken))]
     assert shares[1] == pytest.approx(shares[0], rel=0.02)  # chi^2 of 58 numbers is 1 +- 0.19; values hardly move
 
 
@@ -90,14 +90,14 @@ def test_what_the_model_errs_by_is_not_measured_away():
     off = {p.name: plain.values[p.name] for p in PARAMETERS}
     off["loss"] *= (plain.interval["loss"][1] / plain.interval["loss"][0]) ** 0.5  # as far as the interval reaches
     both = with_model_error(plain, off, 1.0)
-    alone, found = (next_best(r, everything, F, NAMES, 0.02) for r in (plain, both))
+    alone, found = (next_best(r, everything, F, NAMES, ["A1"], 0.02) for r in (plain, both))
     assert found.parameter == "loss"
     assert found.share == pytest.approx(np.sqrt((alone.share**2 + 1) / 2), rel=1e-3)
 
 
 def test_what_nobody_hears_is_not_promised():
     result = fit(lambda v: everything({**v, "loss": 0.8})[:, [0]], measured(slice(None), ("near",)), PARAMETERS)
-    found = next_best(result, lambda v: everything({**v, "loss": 0.8}), F, NAMES, 0.02)
+    found = next_best(result, lambda v: everything({**v, "loss": 0.8}), F, NAMES, ["A1"], 0.02)
     assert found.parameter == "loss"
     assert "no point and band asked about shrinks the widest interval, that of loss, by a tenth" in found.sentence
 

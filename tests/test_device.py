@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 
 from forearm_fem.device import (
     close_loop,
@@ -19,11 +20,16 @@ from forearm_fem.device import (
 from forearm_fem.device.response import lever_matrix
 from forearm_fem.errors import ScenarioError
 from forearm_fem.ports import Port
-from forearm_fem.scenario.device import Cone, Device, HeldHousing, Housing, VoiceCoil, device_of
+from forearm_fem.scenario.changes import remade
+from forearm_fem.scenario.device import Cone, Device, HeldHousing, Housing, VoiceCoil
 from forearm_fem.transfer import Compliance, ErrorEstimate, relative_error
 
 FREQUENCY = np.linspace(10.0, 500.0, 50)
 TILT = np.sin(np.deg2rad(10.0))
+
+
+def device_of(**keys) -> Device:
+    return remade(TypeAdapter(Device), keys, {}, "device")
 
 
 def ports() -> tuple[Port, ...]:

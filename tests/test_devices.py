@@ -10,6 +10,8 @@ import pytest
 from test_figures_scene import folder  # noqa: F401
 
 from forearm_fem.errors import DataError
+from forearm_fem.results.draws import READINGS, DrawsFile, Outcome
+from forearm_fem.show.answer import method_answers
 from forearm_fem.show.data import Results
 from forearm_fem.show.devices import (
     Device,
@@ -19,8 +21,11 @@ from forearm_fem.show.devices import (
     compare_devices,
     devices_block,
     devices_page,
+    ratios_block,
+    same_arms,
 )
 from forearm_fem.show.judge import Strengths
+from forearm_fem.store.record import save
 
 
 def with_s(device: Device, name: str, values: list[list[float]], counted: list[bool]) -> Device:
@@ -29,8 +34,6 @@ def with_s(device: Device, name: str, values: list[list[float]], counted: list[b
     data: Strengths = replace(
         device.data, values=value, low=value - 0.01, high=value + 0.01, counted=np.array(counted)
     )
-    from forearm_fem.show.answer import method_answers
-
     return replace(device, name=name, data=data, answers=method_answers(data))
 
 
@@ -50,17 +53,48 @@ def test_means_are_over_the_points_that_count_in_all(two: Devices) -> None:
     """9 at a point beside a motor is in no mean."""
     assert [two.mean(d) for d in two.devices] == pytest.approx([3.0, 2.0])
     assert [d.name for d in two.ranked] == ["wide", "near"]  # 9 points in focus before 8
-    said = " ".join(answer_lines(two))
-    assert "wide at 9 of 9 points that count (inverse filter); near at 8 of 8" in said
-    assert "8 points that count in all (2, 3, 4, 5, 6, 7, 8, 9): 2.00 wide, 3.00 near" in said
+    first, *others = answer_lines(two)
+    assert first == "wide is better than near on this arm: it focuses at 9 points, near at 8."
+    assert "Mean S over the 8 points that count in all (2, 3, 4, 5, 6, 7, 8, 9): 2.00 wide, 3.00 near." in others
 
 
 def test_intervals_that_overlap_are_called_a_draw(one: Device) -> None:
     pair = [with_s(one, n, [[s] * 9] * 3, [True] * 9) for n, s in (("a", 2.0), ("b", 2.015))]
-    found = Devices(tuple(pair), np.ones(9, dtype=bool))
-    assert any("overlap" in line for line in answer_lines(found))
+    assert answer_lines(Devices(tuple(pair), np.ones(9, dtype=bool)))[0].startswith("A draw between b and a")
     apart = Devices((pair[0], with_s(one, "c", [[2.5] * 9] * 3, [True] * 9)), np.ones(9, dtype=bool))
-    assert not any("overlap" in line for line in answer_lines(apart))
+    assert answer_lines(apart)[0].startswith("c is better than a on this arm")
+
+
+def drawn(device: Device, place: Path, values: list[float], stiffness: list[float]) -> Device:
+    """The device with a prediction in ``place``: S of each arm, alike at all points."""
+    shape = len(device.data.methods), len(device.data.targets)
+    arms = [
+        Outcome(k, "zener", np.full((len(READINGS), *shape), s), {"fat stiffness": mu}, problem="" if s else "ill")
+        for k, (s, mu) in enumerate(zip(values, stiffness, strict=True))
+    ]
+    found = DrawsFile.of(arms, device.data.methods, device.data.targets, "q", np.array([100.0]))
+    (place / "prediction").mkdir(parents=True)
+    save(place / "prediction" / "draws.nc", found)
+    return replace(device, results=Results(place))
+
+
+def test_devices_meet_the_same_arms(one: Device, tmp_path: Path) -> None:
+    """Arm by arm, those that gave S for both; predictions of other arms are not compared."""
+    a = drawn(one, tmp_path / "a", [2.0, 4.0, 6.0, 1.0], [1.0, 2.0, 3.0, 4.0])
+    b = drawn(one, tmp_path / "b", [3.0, 3.0, 3.0, 0.0], [1.0, 2.0, 3.0, 4.0])
+    found = same_arms(Devices((a, b), np.ones(9, dtype=bool)), a, b)
+    assert found is not None
+    np.testing.assert_allclose(found.mean, [1.5, 0.75, 0.5])
+    np.testing.assert_allclose(found.ratio[:, 1, 4], found.mean)
+    others = drawn(one, tmp_path / "others", [3.0, 3.0, 3.0, 3.0], [1.0, 2.0, 3.0, 5.0])
+    assert same_arms(Devices((a, others), np.ones(9, dtype=bool)), a, others) is None
+    assert same_arms(Devices((a, one), np.ones(9, dtype=bool)), a, one) is None
+
+
+def test_ratios_stand_with_their_intervals(two: Devices) -> None:
+    rows = ratios_block(two, two.devices[1], two.devices[0]).rows
+    assert rows[0][1:] == ["not counted for near"] * 3
+    assert rows[1][1] == "×1.50 (1.49 to 1.51)"  # 3 +- .01 over 2 +- .01
 
 
 def test_a_row_says_drive_clearance_and_error(folder: Path) -> None:  # noqa: F811
@@ -89,6 +123,6 @@ def test_runs_are_told_from_two_g_of_one_device(folder: Path, tmp_path: Path) ->
 def test_the_page_shows_a_map_of_differences(two: Devices) -> None:
     page = devices_page(two)
     assert "S of near (dotted) over S of wide" in page.html()
-    assert page.html().count("data:image/png") == 3  # a map each, and the difference
+    assert page.html().count("data:image/png") == 5  # a map each, and the differences by three methods
     other = devices_page(Devices(two.devices, None))  # other grids: nothing to subtract
     assert other.html().count("data:image/png") == 2

@@ -29,8 +29,7 @@ from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.elements import FreeUnderside
 from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.transfer import Compliance, ErrorEstimate, relative_error, total_error
-from forearm_fem.verification.blocks import block_mesh
-from forearm_fem.verification.scenes import flesh
+from forearm_fem.verification.scenes import block_mesh, flesh
 
 SLAB = {
     "name": "small",

@@ -19,7 +19,7 @@ from forearm_fem.fem.assembly.tissues import reference_tensors, tissue_matrices
 from forearm_fem.fem.kernels.matrices import added, congruent, projected
 from forearm_fem.fem.space.constraints import tangents
 from forearm_fem.fem.space.numbering import CUBIC_EDGES, CUBIC_FACES, ElementTetP3, mixed_space, tabulate
-from forearm_fem.verification.blocks import block_mesh
+from forearm_fem.verification.scenes import block_mesh
 
 SAME = 1e-13  # both sum the same numbers in double precision, in another order
 ELEMENTS = ("P1", "P2", "P3")

@@ -15,8 +15,8 @@ from forearm_fem.fem.assembly.tissues import TissueMatrices, constrained_matrice
 from forearm_fem.fem.space.numbering import mixed_space
 from forearm_fem.fem.space.orders import graded_orders, uniform_orders
 from forearm_fem.geometry.mesh.tissue_mesh import EDGES, Bends, keys, true_volumes
-from forearm_fem.verification.blocks import block_mesh
 from forearm_fem.verification.closed import sphere_errors
+from forearm_fem.verification.scenes import block_mesh
 
 ROUNDING = 1e-12  # of sums of some thousand terms
 

@@ -26,8 +26,9 @@ from forearm_fem.geometry.mesh.refinement import refine
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh, skin_edges, with_finer_skin
 from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.verification.blocks import FACES, block_mesh
-from forearm_fem.verification.scenes import layered_truth, slab_model, slab_response
+from forearm_fem.verification.scenes import block_mesh, layered_truth, slab_model, slab_response
+
+FACES = ("x0", "x1", "y0", "y1", "z0", "z1")
 
 
 def bent(n: int = 3) -> TissueMesh:

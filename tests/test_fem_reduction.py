@@ -18,8 +18,9 @@ from forearm_fem.fem.reduction.expansion import Expander, Snapshots, expansion_f
 from forearm_fem.fem.reduction.poles import compressed, pole_residue
 from forearm_fem.fem.reduction.reduced_model import empty_model, extend, with_last_columns
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
+from forearm_fem.laws import Hysteretic, KelvinVoigt, SpringPot, Zener
 from forearm_fem.scenario.sweep import ReducedSolve
-from forearm_fem.tissue import Hysteretic, KelvinVoigt, SpringPot, Tissue, Zener
+from forearm_fem.tissue import Tissue
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 

@@ -20,6 +20,7 @@ from forearm_fem.layered import Disc, layered_compliance
 from forearm_fem.ports import positions
 from forearm_fem.rendering import render_all, ricker
 from forearm_fem.results.files import (
+    Wavefield,
     stack,
     strength_rows,
     write_displacements,
@@ -27,7 +28,6 @@ from forearm_fem.results.files import (
     write_signal_strength_csv,
     write_transfer,
 )
-from forearm_fem.results.wavefield import Wavefield
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show import Results
 from forearm_fem.show.patch import volar_patch

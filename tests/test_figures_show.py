@@ -26,7 +26,7 @@ from forearm_fem.show.film import (
     standing,
     wavefield,
 )
-from forearm_fem.show.motion import View, motion, round_down_125
+from forearm_fem.show.motion import View, default_times, focus_time, motion, round_down_125
 from forearm_fem.show.scene import plotter_for
 
 pytestmark = pytest.mark.drawn
@@ -134,6 +134,17 @@ def test_a_picture_shows_the_wave_and_where_names_stand(run: Results) -> None:
     assert at["1"][1] > at["2"][1] > at["3"][1]
 
 
+def test_the_picture_is_of_the_moment_at_which_the_target_moves_most(run: Results) -> None:
+    """It was of the wavelet's centre, at which little had arrived."""
+    view = View("combination", "5")
+    at = focus_time(run, view)
+    assert abs(at) > 1e-3  # the inverse filter's focus is the wavelet's centre
+    moved, spot = motion(run, view, np.append(default_times(), at)), nearest(run, "5")
+    there = np.array([moved.displacement(run.wavefield.modes[[spot]], k)[0, 2] for k in range(len(moved.steps))])
+    assert abs(there[-1]) > 0.98 * np.abs(there).max()  # the nearest node is not the point itself
+    assert f"t = {1e3 * at:+.1f} ms" in wavefield(run, view=view, look=Look(size=SMALL)).words
+
+
 @pytest.mark.parametrize("cut", ["", "xy"])
 def test_the_body_is_lit_from_outside_and_as_it_bends(run: Results, cut: str) -> None:
     """Until 0.12.0 normals pointed inwards, so that white was drawn grey, and stayed as they were at rest."""
@@ -173,7 +184,10 @@ def test_a_film_has_all_its_frames(run: Results, tmp_path: Path) -> None:
                    progress=lambda *step: told.append(step))  # fmt: skip
     with Image.open(path) as film:
         assert getattr(film, "n_frames", 1) == 3
+        right = np.asarray(film.convert("RGB"), dtype=int)[24:96, 139:158]
     assert told == [("frames", k, 3) for k in (1, 2, 3)]
+    assert (right[:, :, 0] - right[:, :, 2]).max() > 60  # red and blue of the colour bar
+    assert (right[:, :, 2] - right[:, :, 0]).max() > 60
 
 
 def test_mp4_names_its_extra(run: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

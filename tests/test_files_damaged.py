@@ -23,6 +23,7 @@ from test_measurement_scene import (
     RATE,
     SENSOR,
     SWEEP,
+    collected,
     device_for,
     part,
     plan_for,
@@ -36,7 +37,7 @@ from forearm_fem.files.declaration import Declaration
 from forearm_fem.files.reading import RecognitionWarning
 from forearm_fem.files.tables import write_csv
 from forearm_fem.files.wav import read_wav_drives
-from forearm_fem.measurement.calibrate import calibrate, collected, record
+from forearm_fem.measurement.calibrate import calibrate, record
 from forearm_fem.measurement.diagnostics import diagnose
 from forearm_fem.measurement.entry import entry
 from forearm_fem.measurement.estimators import excited

@@ -30,9 +30,9 @@ from forearm_fem.geometry.mesh.quality import mesh_quality
 from forearm_fem.geometry.user.meshes import user_mesh
 from forearm_fem.geometry.user.surfaces import read_surfaces
 from forearm_fem.geometry.user.triangles import read_triangles
-from forearm_fem.main_guard import _guarded
 from forearm_fem.measurement.calibrate import record
-from forearm_fem.rendering.bridging import Interpolation, filled_in
+from forearm_fem.processes import _guarded
+from forearm_fem.rendering.bridging import filled_in
 from forearm_fem.scenario import load_scenario, parse_scenario
 
 PORTS = (OUTPUTS[:2], INPUTS[:2])
@@ -94,6 +94,16 @@ def test_tables_as_spreadsheets_and_programs_write_them(tmp_path, name, encoding
 def test_what_is_no_table_of_numbers_is_told_apart(tmp_path, text, said):
     (tmp_path / "lab.csv").write_text(text)
     with pytest.raises(DataError, match=said):
+        read(tmp_path / "lab.csv")
+
+
+def test_a_first_comment_of_json_says_what_a_declaration_says(tmp_path):
+    """As our own tables say it; what it says need not be declared, and what it says wrongly is told with its line."""
+    (tmp_path / "lab.csv").write_text('# {"unit": "mm/V", "sign": "+iwt", "lab": 3}\n' + "\n".join(rows()))
+    back = read(tmp_path / "lab.csv", Declaration(spectrum="one-sided"))
+    np.testing.assert_allclose(back.values, 1e-3 * G.values, rtol=1e-15)
+    (tmp_path / "lab.csv").write_text('# {"sign": "up"}\n' + "\n".join(rows()))
+    with pytest.raises(DataError, match=r"lab\.csv, line 1: .*sign: input should be '\+iwt' or '-iwt', got 'up'"):
         read(tmp_path / "lab.csv")
 
 
@@ -651,7 +661,7 @@ def test_frequencies_printed_in_six_digits_are_on_their_bins():
     printed = np.array([float(f"{k * df:.6g}") for k in bins])
     rng = np.random.default_rng(0)
     values = rng.standard_normal((len(bins), 1)) + 1j * rng.standard_normal((len(bins), 1))
-    out, on = filled_in(printed / df, values, np.ones(values.shape, bool), bins, df, Interpolation())
+    out, on = filled_in(printed / df, values, np.ones(values.shape, bool), bins, df)
     assert on.all()
     assert np.array_equal(out, values)
 
@@ -735,7 +745,7 @@ def test_noise_is_no_error_of_interpolation_and_what_is_sampled_too_seldom_is():
 
     def filled(delay: float, noisy: bool) -> Any:
         values = np.exp(-2j * np.pi * f * delay) / (1 + (f / 100) ** 2) * (1 + noisy * noise)
-        return filled_in(2 * f, values[:, None], np.ones((len(f), 1), bool), bins, 0.5, Interpolation())
+        return filled_in(2 * f, values[:, None], np.ones((len(f), 1), bool), bins, 0.5)
 
     for noisy in (False, True):
         _, on = filled(0.01, noisy)

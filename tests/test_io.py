@@ -20,6 +20,7 @@ from forearm_fem.errors import DataError
 from forearm_fem.ports import Port
 from forearm_fem.results import files as io
 from forearm_fem.store.folder import atomic_path, write_text
+from forearm_fem.store.record import save
 from forearm_fem.transfer import Compliance, ErrorEstimate, TransferMatrix
 
 BINS = np.arange(20, 1001, dtype=float) * 0.5
@@ -108,7 +109,7 @@ def test_optional_parts_stay_absent(tmp_path: Path) -> None:
 
 def test_compliance_alone(tmp_path: Path) -> None:
     one = compliance(np.array([100.0]))
-    io.write_compliance(tmp_path / "c.nc", one)
+    save(tmp_path / "c.nc", io.TransferFile(None, one))
     same(io.read_compliance(tmp_path / "c.nc"), one)
     with pytest.raises(DataError, match=r"c\.nc: .*no G"):
         io.read_transfer(tmp_path / "c.nc")

@@ -318,3 +318,27 @@ def test_points_beside_rims_state_their_truncation_error_within_a_factor(contact
     ratio = found.truncation / np.max(true, axis=0)
     assert ratio.min() > 0.5
     assert ratio.max() < 15
+
+
+def test_points_beside_each_other_cost_no_more_than_those_apart():
+    """Two points .05 mm apart, as a rig's aim lays them: only what drives is integrated, and G stays what it was."""
+    discs, near = [Disc(-9e-3, 0.0, A, "bonded"), Disc(9e-3, 0.0, A, "bonded")], Disc(2e-3, 6e-3)
+    close, apart = Disc(2.05e-3, 6e-3), Disc(-5e-3, -7e-3)
+    one, other = (solved(discs, [*discs, near, p], OMEGA[1:2], tolerance=1e-6) for p in (close, apart))
+    assert one.n_kernel <= other.n_kernel
+    finest = [galerkin([*discs, near, close], Surface(), 4, 2, silent=s).table.smallest for s in ((), (2, 3))]
+    assert finest == pytest.approx([0.05e-3, A])
+    driven = solved([*discs, near], [*discs, near, close], OMEGA[1:2], tolerance=1e-6)
+    assert relative(one.values, driven.values[:, :, :2]).max() < 1e-6
+    assert np.allclose(driven.values[:, 2, :2], driven.values[:, :2, 2], rtol=1e-12)
+
+
+def test_truncation_judged_at_few_frequencies_is_the_larger_of_their_neighbours():
+    discs = [Disc(-9e-3, 0.0, A, "bonded"), Disc(9e-3, 0.0, A, "bonded")]
+    omega = 2 * np.pi * np.array([300.0, 60.0, 500.0, 130.0, 400.0])  # rising: 1, 3, 0, 4, 2
+    every, some = (solved(discs[:1], discs, omega, tolerance=1e-6, judged=n) for n in (1, 2))
+    assert np.array_equal(every.values.shape, some.values.shape)
+    assert relative(some.values, every.values).max() < 1e-10  # eliminated at once, or order by order
+    full = every.truncation
+    assert np.allclose(some.truncation[[1, 0, 2]], full[[1, 0, 2]], rtol=1e-6)
+    assert np.allclose(some.truncation[[3, 4]], [max(full[1], full[0]), max(full[0], full[2])], rtol=1e-6)

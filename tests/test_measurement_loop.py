@@ -12,6 +12,7 @@ from test_measurement_scene import (
     RATE,
     SENSOR,
     SWEEP,
+    collected,
     device_for,
     options,
     part,
@@ -21,7 +22,7 @@ from test_measurement_scene import (
 
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
 from forearm_fem.geometry.device.layout import planform_ports
-from forearm_fem.measurement.calibrate import calibrate, collected, record
+from forearm_fem.measurement.calibrate import calibrate, record
 from forearm_fem.measurement.diagnostics import _lost, diagnose
 from forearm_fem.measurement.entry import bias_said, entry
 from forearm_fem.measurement.estimators import ExponentialSweep, estimate, excited, spectra

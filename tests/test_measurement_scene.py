@@ -4,9 +4,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 
-from forearm_fem.measurement.calibrate import Plan
+from forearm_fem.errors import DataError
+from forearm_fem.measurement.calibrate import Plan, _entry, _store, assembled
+from forearm_fem.measurement.diagnostics import Finding
+from forearm_fem.measurement.entry import Measured
 from forearm_fem.measurement.estimators import ExponentialSweep
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions, VirtualSensor
 from forearm_fem.ports import Port, distances
@@ -67,6 +73,24 @@ def plan_for(transfer: TransferMatrix, **changes: object) -> Plan:
 def device_for(transfer: TransferMatrix, **changes: object) -> VirtualDaq:
     """A virtual device playing through ``transfer``."""
     return VirtualDaq(transfer, RATE, DURATION, VirtualOptions(**{"sensor": SENSOR, **changes}))
+
+
+def collected(plan: Plan, folder: Path) -> Measured:
+    """G of what ``folder`` holds, without a device; damaged recordings are findings."""
+    store = _store(plan, folder)
+    entries, damaged = [], []
+    for o, i in plan.entries:
+        try:
+            recording = store.get(plan.outputs[o].name, plan.inputs[i].name)
+        except DataError as problem:
+            damaged.append(Finding("damaged", str(problem)))
+            continue
+        if recording is not None:
+            entries.append(_entry(plan, recording))
+    if not entries and damaged:
+        raise DataError(damaged[0].sentence)
+    measured = assembled(plan, entries, "recordings")
+    return replace(measured, findings=(*measured.findings, *damaged))
 
 
 def test_scene_is_strongest_where_an_actuator_is_nearest():

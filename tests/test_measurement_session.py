@@ -23,6 +23,7 @@ from test_measurement_scene import (
     RATE,
     SENSOR,
     SWEEP,
+    collected,
     device_for,
     options,
     part,
@@ -31,7 +32,7 @@ from test_measurement_scene import (
 )
 
 from forearm_fem.errors import AccuracyWarning, DataError, HardwareError, ScenarioError
-from forearm_fem.measurement.calibrate import calibrate, collected
+from forearm_fem.measurement.calibrate import calibrate
 from forearm_fem.measurement.playback import play
 from forearm_fem.measurement.recording import read_recording
 from forearm_fem.measurement.virtual import Faults, VirtualDaq, VirtualOptions

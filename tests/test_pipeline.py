@@ -193,7 +193,7 @@ def test_an_interrupted_space_about_a_rate_goes_on_where_it_stopped(monkeypatch,
     """The same G as without the interruption, and only what was missing is solved again."""
     counted, original = [], krylov.RateSpace.more
     monkeypatch.setattr(krylov.RateSpace, "more", lambda self, n: (counted.append(n), original(self, n))[1])
-    resumed = interrupted_then_resumed(monkeypatch, tmp_path, "derivatives", 10)[2]
+    resumed = interrupted_then_resumed(monkeypatch, tmp_path, "reduced model", 10)[2]
     whole = read_transfer(finished / "transfer.nc")
     derivatives = json.loads((finished / "run.json").read_text())["solution"]["derivatives"]
     assert sum(counted) == derivatives > 10

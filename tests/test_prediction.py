@@ -19,6 +19,7 @@ from scipy import stats
 from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.measurement.chain import reported
+from forearm_fem.metrics import signal_strength
 from forearm_fem.questions.predict import run as runs
 from forearm_fem.questions.predict import statistics as numbers
 from forearm_fem.questions.predict.arm import Answer, LayeredArm, arm_model
@@ -30,10 +31,9 @@ from forearm_fem.questions.predict.draws import (
     moved_points,
     scenario_of,
 )
-from forearm_fem.questions.predict.outcome import drivers_of, outcome_of
-from forearm_fem.questions.predict.run import Prediction, Question, check_question, predict
+from forearm_fem.questions.predict.run import Prediction, Question, check_question, drivers_of, outcome_of, predict
 from forearm_fem.questions.predict.summary import shorter_waves, summary
-from forearm_fem.rendering import drives, strengths
+from forearm_fem.rendering import displacements, drives, strengths
 from forearm_fem.results.draws import DRAWS_FILE, KEPT, READINGS, DrawsFile, Outcome
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.sweep import frequencies
@@ -140,31 +140,31 @@ def test_draws_of_another_question_are_kept_beside(found: tuple[Prediction, Path
     assert np.array_equal(again.draws.strengths, whole.draws.strengths)
 
 
-def setup_and_arm(asked: Question) -> Any:
-    return runs._prepared(*runs._plain(asked))
+def prepared(asked: Question) -> Any:
+    return runs._prepared(runs._plain(asked))
 
 
 def test_without_a_rig_drives_play_as_reported() -> None:
-    _, setup, arm = setup_and_arm(question())
-    quiet = outcome_of(draw_inputs(load_priors(), SCENE, 3, 0), setup, arm).strengths
+    asked, job, arm = prepared(question())
+    quiet = outcome_of(draw_inputs(load_priors(), SCENE, 3, 0), asked.scenario, asked.held, job, arm).strengths
     at = {name: quiet[k] for k, name in enumerate(READINGS)}
     assert np.array_equal(at["reported"], at["played"])
     assert np.array_equal(at["reported, record"], at["played, record"])
-    _, loud_setup, _ = setup_and_arm(question(held=()))
-    loud = outcome_of(draw_inputs(load_priors(), SCENE, 3, 0), loud_setup, arm).strengths
+    louder, loud_job, _ = prepared(question(held=()))
+    loud = outcome_of(draw_inputs(load_priors(), SCENE, 3, 0), louder.scenario, louder.held, loud_job, arm).strengths
     assert not np.allclose(loud[0], loud[1], rtol=1e-6)
     # the true arm is the same, noise or not: funneling does not look at G
     # (solved with the rig's points beside its own, within the layered model's tolerance)
-    assert loud[0][setup.methods.index("funneling")] == pytest.approx(
-        quiet[0][setup.methods.index("funneling")], rel=1e-4
+    assert loud[0][job.names.index("funneling")] == pytest.approx(
+        quiet[0][job.names.index("funneling")], rel=1e-4
     )
 
 
 def test_an_outcome_by_hand() -> None:
     """Drives are designed on the G that the rig reports, of the places that the laser met, and play on the true one."""
-    _, setup, arm = setup_and_arm(question(held=()))
+    asked, job, arm = prepared(question(held=()))
     draw = draw_inputs(load_priors(), SCENE, 3, 1)
-    found = outcome_of(draw, setup, arm).strengths
+    found = outcome_of(draw, asked.scenario, asked.held, job, arm).strengths
     moved = scenario_of(draw, SCENE)
     seen = measured_of(draw, moved)
     assert not np.allclose(seen.grid.places, moved.grid.places, atol=1e-4)
@@ -174,28 +174,30 @@ def test_an_outcome_by_hand() -> None:
     # solved with the points of the true grid beside them: the model's own tolerance of 1e-3
     assert np.nanmax(np.abs(there.values - alone.values)) < 2e-3 * np.nanmax(np.abs(alone.values))
     true, met = (
-        replace(close_loop(c, moved.device), outputs=setup.outputs, inputs=setup.inputs)
+        replace(close_loop(c, moved.device), outputs=job.ports[0], inputs=job.ports[1])
         for c in (answer.compliance, there)
     )
     measured = reported(met, seen, draw.generator("rig"))
-    sent = [[drives(m, measured, t, setup.job.wavelet) for t in setup.targets] for m in setup.job.methods]
-    by_hand = strengths(measured, setup.targets, setup.job.methods, setup.job.wavelet)
+    by_hand = strengths(measured, job.targets, job.methods, job.wavelet)
     assert found[READINGS.index("reported")] == pytest.approx(by_hand, rel=1e-9)
-    played = strengths(true, setup.targets, setup.job.methods, setup.job.wavelet, fixed=sent)
-    assert found[READINGS.index("played")] == pytest.approx(played, rel=1e-9)
-    record = strengths(true, setup.targets, setup.job.methods, setup.job.wavelet, fixed=sent, window="record")
-    assert found[READINGS.index("played, record")] == pytest.approx(record, rel=1e-9)
+    for m, method in enumerate(job.methods):
+        for t, target in enumerate(job.targets):
+            motion = displacements(true, drives(method, measured, target, job.wavelet))
+            played = signal_strength(motion.values, motion.target_index, time=motion.time, window=job.span)
+            assert found[READINGS.index("played"), m, t] == pytest.approx(played, rel=1e-9)
+            record = signal_strength(motion.values, motion.target_index)
+            assert found[READINGS.index("played, record"), m, t] == pytest.approx(record, rel=1e-9)
 
 
 def test_renderers_believe_the_grid_where_it_was_laid_out() -> None:
     """The arm's points are moved, the ports that renderers see are not."""
-    _, setup, arm = setup_and_arm(question())
+    _, job, arm = prepared(question())
     draw = draw_inputs(load_priors(), SCENE, 3, 1)
     moved = scenario_of(draw, SCENE)
     compliance = arm.compliance(moved, np.array([100.0]))
     true = [p.position[:2] for p in compliance.ports if p.kind == "point"]
     assert np.allclose(true, moved_points(SCENE, draw.values))
-    assert np.allclose([p.position[:2] for p in setup.outputs], SCENE.grid.places)
+    assert np.allclose([p.position[:2] for p in job.ports[0]], SCENE.grid.places)
     assert not np.allclose(true, SCENE.grid.places, atol=1e-4)
 
 
@@ -231,18 +233,18 @@ def test_an_arm_that_few_orders_do_not_answer_is_asked_with_more() -> None:
 
 def test_an_arm_that_cannot_be_is_data(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = question(held=("measurement",))
-    _, setup, arm = setup_and_arm(asked)
+    asked, job, arm = prepared(asked)
 
     def broken(*_: object) -> None:
         raise ScenarioError("no such arm")
 
     monkeypatch.setattr(LayeredArm, "compliance", broken)
-    lost = runs.drawn(asked, setup, arm, 4)
+    lost = runs.drawn(asked, job, arm, 4)
     assert (lost.problem, lost.number) == ("no such arm", 4)
     assert np.isnan(lost.strengths).all()
     good = [replace(lost, number=k, problem="", strengths=np.ones_like(lost.strengths)) for k in range(N - 1)]
     with pytest.raises(DataError, match=f"needs {N} draws with S, got {N - 1}; raise --draws; the.*no such arm"):
-        numbers.draws_of([*good, lost], setup.methods, setup.targets)
+        numbers.draws_of([*good, lost], job.names, job.targets)
 
 
 @pytest.mark.parametrize("band", [1.0, float("nan")])
@@ -251,16 +253,16 @@ def test_an_arm_whose_error_is_as_large_as_its_g_is_left_out_and_counted(
 ) -> None:
     """Its S would be noise, or unknown; the report says how many such arms there were."""
     asked = question(held=("measurement",))
-    _, setup, arm = setup_and_arm(asked)
+    asked, job, arm = prepared(asked)
 
     class Poor(LayeredArm):
         def compliance(self, scenario: Any, frequency: Any) -> Any:
             found = arm.compliance(scenario, frequency)
             return replace(found, errors=(ErrorEstimate("reduction", band, "stated here"),))
 
-    lost = runs.drawn(asked, setup, Poor(), 4)
+    lost = runs.drawn(asked, job, Poor(), 4)
     assert "may be wrong by as much as it is" in lost.problem
-    one = runs.drawn(asked, setup, arm, 4)
+    one = runs.drawn(asked, job, arm, 4)
     good = [replace(one, number=k) for k in range(N)]
     draws = numbers.draws_of([*good, replace(lost, number=N), replace(lost, number=N + 1)], ("a",) * 3, ("5", "1"))
     assert (len(draws.numerics), dict(draws.problems)) == (N, {lost.problem: 2})
@@ -272,7 +274,7 @@ def test_an_arm_whose_error_is_as_large_as_its_g_is_left_out_and_counted(
 
 def test_an_arm_of_larger_error_has_a_wider_interval_of_s() -> None:
     asked = question(held=("measurement",))
-    _, setup, arm = setup_and_arm(asked)
+    asked, job, arm = prepared(asked)
 
     class Stated(LayeredArm):
         def compliance(self, scenario: Any, frequency: Any) -> Any:
@@ -280,7 +282,7 @@ def test_an_arm_of_larger_error_has_a_wider_interval_of_s() -> None:
             return replace(found, errors=(ErrorEstimate("reduction", self.band, "stated here"),))
 
     fine, poor = (type("S", (Stated,), {"band": band})() for band in (0.001, 0.01))
-    one, ten = (runs.drawn(asked, setup, model, 4) for model in (fine, poor))
+    one, ten = (runs.drawn(asked, job, model, 4) for model in (fine, poor))
     assert np.array_equal(one.strengths, ten.strengths)
     assert (ten.spread > 6 * one.spread).all()  # the same noise ten times as large: 10 where log S is linear in it
 
@@ -288,7 +290,7 @@ def test_an_arm_of_larger_error_has_a_wider_interval_of_s() -> None:
 def test_an_error_of_known_shape_is_no_noise() -> None:
     """What a model says it may be as well sets the interval, and the estimate of that source does not count twice."""
     asked = question(held=("measurement",))
-    _, setup, arm = setup_and_arm(asked)
+    asked, job, arm = prepared(asked)
 
     class Shaped(LayeredArm):
         def answer(self, scenario: Any, frequency: Any) -> Answer:
@@ -298,7 +300,7 @@ def test_an_error_of_known_shape_is_no_noise() -> None:
 
     f = np.linspace(0.8, 1.2, len(frequencies(SCENE.sweep)))[:, None, None]
     same, other = (type("S", (Shaped,), {"factor": factor})() for factor in (1.0, f))
-    sure, unsure = (runs.drawn(asked, setup, model, 4) for model in (same, other))
+    sure, unsure = (runs.drawn(asked, job, model, 4) for model in (same, other))
     assert sure.numerics == unsure.numerics >= 0.3
     assert (sure.spread == 0).all()
     assert (unsure.spread > 1e-4).all()
@@ -443,8 +445,8 @@ def test_what_is_held_moves_nothing(found: tuple[Prediction, Path]) -> None:
     everything = (
         "tissue", "thickness", "tension", "fascia", "contact", "actuator", "housing", "placement", "measurement",
     )  # fmt: skip
-    _, setup, arm = setup_and_arm(question(held=everything))
-    two = [outcome_of(draw_inputs(load_priors(), SCENE, 0, k), setup, arm) for k in (0, 1)]
+    asked, job, arm = prepared(question(held=everything))
+    two = [outcome_of(draw_inputs(load_priors(), SCENE, 0, k), asked.scenario, asked.held, job, arm) for k in (0, 1)]
     assert np.array_equal(two[0].strengths, two[1].strengths)
     assert dict(two[0].drivers) == {}
     assert {"fat stiffness", "skin loss", "contact spring A1"} <= set(found[0].draws.names)

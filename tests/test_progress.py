@@ -82,10 +82,10 @@ def test_a_display_learns_for_the_next_run_of_the_same_job(tmp_path, monkeypatch
         shown("mesh", 0, 1)
         shown("solve", 0, 1)
     assert set(display.learnt_of("run quick")) == {"mesh", "solve"}
-    stopped = display.Display("run thesis")
+    stopped = display.Display("run other")
     stopped("mesh", 0, 1)
     stopped.__enter__().__exit__(KeyError)
-    assert display.learnt_of("run thesis") == {}  # what was interrupted teaches nothing
+    assert display.learnt_of("run other") == {}  # what was interrupted teaches nothing
     (tmp_path / "timings.json").write_text("damaged")
     assert display.learnt_of("run quick") == {}
 
@@ -107,3 +107,17 @@ def test_a_line_says_stage_count_and_time_left():
     journey.tell("drives", 3, 9, 12.0)
     assert display.progress_line(journey, 12.0).startswith("drives 3 of 9; 12 s gone, about ")
     assert display.progress_line(Journey({}, 0.0), 1.0) == ""
+
+
+def test_a_first_run_guesses_by_its_kin_and_says_once_where_it_cannot(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))
+    display.learn("run lab.toml --set engine=layered --set device.spacing=40mm", {"solve": 3.0})
+    assert display.learnt_of("run lab.toml --set engine=layered") == {"solve": 3.0}
+    assert display.learnt_of("run lab.toml") == {}  # finite elements take longer
+    assert display.learnt_of("run other.toml --set engine=layered") == {}
+    assert sum(display.learnt_of("run thesis").values()) > 60
+    shown = display.Display("design lab.toml")
+    for stage in ("tables", "search"):
+        shown(stage, 0, 1)
+        shown._line()
+    assert capsys.readouterr().err.count(display.NO_ESTIMATE) == 1

@@ -70,7 +70,7 @@ def test_the_interval_of_a_measured_g_holds_the_truth(run: Run) -> None:
     size = STRONG * np.abs(truth.values).max(axis=(1, 2), keepdims=True)
     noise = size * (rng.standard_normal(truth.values.shape) + 1j * rng.standard_normal(truth.values.shape)) / np.sqrt(2)
     measured = replace(truth, values=truth.values + noise, deviation=np.broadcast_to(size, truth.values.shape).copy())
-    account = job.account(measured, job.play(measured))
+    account = job.play(measured).strength
     right = job.play(truth).strengths
     assert ((account.low <= right) & (right <= account.high)).sum() >= 5
     assert (account.high > account.low).all()

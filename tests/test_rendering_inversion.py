@@ -9,15 +9,8 @@ import pytest
 from test_rendering import waves
 
 from forearm_fem.errors import ScenarioError
-from forearm_fem.rendering import (
-    Combination,
-    Funneling,
-    InverseFilter,
-    Regularisation,
-    drives,
-    invert,
-    ricker,
-)
+from forearm_fem.rendering import Combination, Funneling, InverseFilter, Regularisation, drives, ricker
+from forearm_fem.rendering.inversion import decomposed, least_squares
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +28,10 @@ METHODS = (InverseFilter(), Funneling(), Combination())
 
 
 # ---------------------------------------------------------------- regularisation
+
+
+def invert(matrix, wanted, regularisation, frequency):
+    return least_squares(decomposed(matrix), wanted, regularisation, frequency)
 
 
 def random_problem(rng, shape=(6, 5, 4)):

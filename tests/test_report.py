@@ -16,7 +16,7 @@ from test_figures_scene import folder  # noqa: F401
 
 from forearm_fem.errors import DataError
 from forearm_fem.ports import Port
-from forearm_fem.rendering.limits import CLEARANCE, counted_points, not_counted_words
+from forearm_fem.rendering.drives import CLEARANCE, counted_points, not_counted_words
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.show import Results, kinds
 from forearm_fem.show.answer import answer_of, console_lines, is_thesis_device, method_answers, next_steps, trust_of

@@ -12,7 +12,7 @@ from test_rendering import BAND, actuators, grid, waves
 
 from forearm_fem.accuracy.discretisation import over_pairs
 from forearm_fem.engines.notes import check_samples, sample_notes
-from forearm_fem.engines.simulation import account_of, render_transfer
+from forearm_fem.engines.simulation import render_transfer
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
 from forearm_fem.measurement.entry import noise_estimate
 from forearm_fem.metrics.common_ground import common_ground
@@ -653,7 +653,7 @@ def test_a_method_left_out_is_not_missed_by_the_account():
     g = replace(waves(np.arange(10.0, 500.1, 2.0), actuators()[:3], grid()), errors=(MESH,))
     with pytest.warns(AccuracyWarning, match="is left out"):
         rendering = render_transfer(scenario, g)
-    account = account_of(scenario, g, rendering)
+    account = rendering.strength
     assert account.methods == ("inverse filter",)
     assert np.isfinite(account.low).all()
 

@@ -11,7 +11,7 @@ from cli_runner import cli
 
 from forearm_fem.geometry.mesh.tissue_mesh import true_volumes
 from forearm_fem.verification import Row, run
-from forearm_fem.verification.blocks import block_mesh, shell_mesh
+from forearm_fem.verification.scenes import block_mesh, shell_mesh
 
 GOOD = Row("a", "exact", "u", 1e-4, 1e-3, "because")
 BAD = Row("b", "exact | other", "u", 2e-3, 1e-3, "because")

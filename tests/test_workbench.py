@@ -25,6 +25,7 @@ from forearm_fem.errors import DataError, GeometryError
 from forearm_fem.files.tables import write_csv
 from forearm_fem.questions.run import Run, run_render
 from forearm_fem.rendering import Funneling, render_all, ricker, strengths
+from forearm_fem.rendering.job import RenderJob
 from forearm_fem.results.draws import DRAWS_FILE, DrawsFile, Outcome
 from forearm_fem.results.files import read_compliance, read_transfer, write_transfer
 from forearm_fem.scenario import Scenario, parse_scenario
@@ -173,10 +174,7 @@ def test_a_device_not_measured_again_plays_the_old_drives(content: dict[str, Any
     other = close_loop(flat.compliance, scenario.device)
     shape = ricker(250.0, 1.0, 4000.0, 0.25)
     sent = render_all(flat.transfer, wavelet=shape)
-    fixed = [[sent[m, t].drives for t in sent.targets] for m in sent.methods]
-    from forearm_fem.rendering import thesis_renderers
-
-    expected = strengths(other, sent.targets, thesis_renderers(), shape, fixed=fixed)
+    expected = RenderJob(sent.renderers, shape, sent.targets).strengths(flat.transfer, other)[0, 0]
     settings = {"device": {"coil": {"moving_mass": 1e-3}}, "calibrated": False}
     found = np.array(asked(content, {"ask": "strengths", "settings": settings})[0])
     np.testing.assert_allclose(found, expected, rtol=1e-9)
@@ -418,10 +416,7 @@ def test_drawn_arms_have_the_s_of_their_own_g(drawn: tuple[Path, list[TransferMa
         np.testing.assert_allclose(answer, render_all(arm, wavelet=shape).strengths, rtol=1e-3)
     own = read_transfer(place / "transfer.nc")
     sent = render_all(own, wavelet=shape)
-    fixed = [[sent[m, t].drives for t in sent.targets] for m in sent.methods]
-    from forearm_fem.rendering import thesis_renderers
-
-    expected = strengths(arms[0], sent.targets, thesis_renderers(), shape, fixed=fixed)
+    expected = RenderJob(sent.renderers, shape, sent.targets).strengths(own, arms[0])[0, 0]
     np.testing.assert_allclose(other, expected, rtol=1e-3)
     np.testing.assert_allclose(kept, np.array(answers[1])[:, 4], rtol=1e-9)
 

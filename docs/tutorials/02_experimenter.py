@@ -3,7 +3,7 @@ The experimenter: a measured G beside a simulated one
 =====================================================
 
 You have a vibrometer, a data acquisition chassis and an arm. This page goes the whole way once with a *virtual*
-chassis, which plays the sweep through a known G and adds noise, converters and delay: the way to try a protocol
+chassis, which plays the sweep through a known G and adds noise, converters and delay. Try a protocol so
 before anybody puts an arm on a table. With hardware one argument changes: ``daq="ni"``.
 """
 
@@ -46,8 +46,7 @@ print(f"measured against the truth: e_band {error:.4f}")
 print("\n".join(compare(measured, believed, render=False).text.splitlines()[:16]))
 
 # %%
-# **Fit** what differs. The data say which modulus it was, and with what interval; parameters that they cannot tell
-# apart are named.
+# **Fit** what differs. The data give the modulus and its interval, and name parameters that they cannot tell apart.
 fitted = fit(subject, measured, ["muscle.mu"], frequencies=12)
 print(fitted.text)
 

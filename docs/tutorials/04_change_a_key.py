@@ -2,13 +2,13 @@
 A key changed and swept
 =======================
 
-How does S of the middle point hang on the spacing of the actuators? A notebook's way to ask: a scenario with another
-value, checked like a file, and the answer as labelled arrays. The page can be downloaded as a notebook.
+How does S of the middle point depend on the spacing of the actuators? Change the key of a scenario, simulate, and put
+the answers side by side as labelled arrays. The page can be downloaded as a notebook.
 """
 
 # %%
-# **One scenario**, on the layered model, which needs a second a device. `changed` checks what it is given: keys that do
-# not exist, and values that cannot be, are refused in a sentence.
+# **One scenario**, on the layered model, a second for each device. `changed` refuses unknown keys and impossible values
+# in a sentence.
 from forearm_fem import ForearmError, load_scenario, simulate
 
 scene = load_scenario("quick").changed({"engine": "layered", "rendering.targets": ["5"]})
@@ -18,7 +18,7 @@ except ForearmError as problem:
     print(problem)
 
 # %%
-# **What it answers** is a simulation. G and S print in a line, and know points and actuators by name.
+# **The answer** is a simulation. G and S print in a line, and know points and actuators by name.
 base = simulate(scene)
 print(repr(base.transfer))
 print(repr(base.strength))
@@ -50,6 +50,6 @@ axes.set(xlabel="spacing [mm]", ylabel="S at point 5")
 axes.legend(fontsize=7)
 
 # %%
-# What this page promises: intervals hold the values that they are of.
+# What this page promises: each interval holds its value.
 assert bool((swept["low"] <= swept["value"]).all())
 assert bool((swept["value"] <= swept["high"]).all())

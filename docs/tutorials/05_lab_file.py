@@ -2,8 +2,8 @@
 From a lab's CSV to S, and a fit
 ================================
 
-What a file does not say of itself is asked for, never guessed; from there on a measured G is like a simulated one. The
-page can be downloaded as a notebook.
+The program asks for what a file does not state, and never guesses. From there on a measured G is like a simulated one.
+The page can be downloaded as a notebook.
 """
 
 # %%
@@ -30,8 +30,7 @@ played = render(g, scene)
 print(repr(played.strength))
 
 # %%
-# **A fit**: which muscle makes the model's G nearest to the file's? The answer has an interval, and says what the data
-# cannot tell.
+# **A fit**: which muscle brings the model's G nearest to the file's? The answer has an interval.
 found = fit(scene, g, ["muscle.mu"], frequencies=12)
 print(repr(found))
 value, low, high = found.sel("muscle.mu")

@@ -19,15 +19,15 @@ people = predict(scene, draws=20, folder=folder, workers=1)
 print(repr(people))
 
 # %%
-# **S of every arm** by method and target, and what it hangs on.
+# **S of every arm** by method and target, and what drives it.
 strengths = people.sel("inverse filter", "5")
 print(f"{(strengths > 1).mean():.0%} of the arms above S = 1")
 table = people.to_xarray()
 print(table["drivers"].to_pandas().iloc[:3, :4])
 
 # %%
-# The picture: bars span 5-95 % and 25-75 % of arms; the cross is the scene itself with its numerical interval. The two
-# are of different things, and never added.
+# The picture: bars span 5-95 % and 25-75 % of arms; the cross is the scene itself with its numerical interval. Never
+# add the two.
 figure = people.plot()
 
 # %%
@@ -36,7 +36,7 @@ page, _ = people.save(folder, sobol=False)
 print(page.name)
 
 # %%
-# What this page promises: draws are the same again, and those that were there are not made anew.
+# What this page promises: the same draws again, and none made twice.
 again = predict(scene, draws=20, folder=folder, workers=1)
 assert again.reused == 20
 assert (again.sel("inverse filter", "5") == strengths).all()

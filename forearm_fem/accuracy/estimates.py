@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -91,56 +91,6 @@ class PairErrors:
 
 APART = 0.3  # of a pair's error by the mesh: what other pairs do not share
 _WAVES = 64  # random cosines that make up one perturbation
-
-
-@dataclass(frozen=True, eq=False)
-class StrengthInterval:
-    """S of the unperturbed G, and the ``low``, ``median`` and ``high`` quantiles over perturbed ones, each
-    [-].
-
-    All have the shape of what the strength function returns; ``samples`` (n_draws, ...) are the draws.
-    """
-
-    value: FloatArray
-    low: FloatArray
-    median: FloatArray
-    high: FloatArray
-    samples: FloatArray
-    coverage: float
-
-
-def signal_strength_uncertainty(
-    transfer: TransferMatrix,
-    strength: Callable[[TransferMatrix], FloatArray],
-    errors: Sequence[ErrorEstimate] | None = None,
-    *,
-    draws: int = 100,
-    seed: int = 0,
-    correlation: float = 50.0,
-    coverage: float = 0.95,
-) -> StrengthInterval:
-    """Interval of S when G errs by ``errors`` (None: those of ``transfer``), by Monte Carlo.
-
-    ``strength`` maps a G to S of any shape, e.g. ``lambda g: strengths(g, targets, methods, wavelet)``: it aims anew on
-    each perturbed G (the error of the S printed), or replays fixed drives (what a device calibrated on a wrong G does).
-    Each source adds an independent complex Gaussian perturbation, as large at each pair of ports as it states there
-    (:func:`perturbed`), or where it does not tell pairs apart over all entries, with max_ij |dG_ij| = e(f) max_ij
-    |G_ij| at every frequency, smooth in frequency over about ``correlation`` [Hz]: discretisation and truncation err
-    smoothly, and errors white in frequency would average out of S. The true error has structure that this does not
-    know. Holes of G are left as they are; what they cost is not in the interval. Raises DataError without errors, with
-    one that is unknown, or with fewer than 2 draws.
-    """
-    sources = tuple(transfer.errors if errors is None else errors)
-    if not sources or draws < 2 or not 0 < coverage < 1 or correlation <= 0:
-        raise DataError("an interval of S needs error estimates of G, at least 2 draws, a coverage in (0, 1)")
-    if lost := [e.source for e in sources if not e.known]:
-        raise DataError(f"the error by {', '.join(lost)} is unknown, and so is the interval of S")
-    rng = np.random.default_rng(seed)
-    samples = np.stack([strength(perturbed(transfer, sources, rng, correlation)) for _ in range(draws)])
-    tail = (1 - coverage) / 2
-    low, median, high = np.quantile(samples, [tail, 0.5, 1 - tail], axis=0)
-    value = np.asarray(strength(transfer), dtype=float)
-    return StrengthInterval(value, np.asarray(low), np.asarray(median), np.asarray(high), samples, coverage)
 
 
 def perturbed(

@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 
 from .. import __version__
 from ..errors import DataError, ForearmError
-from ..interrupts import interrupts_heard
+from ..processes import interrupts_heard
 from . import about, decide, look, measure, simulate, study
 from .common import any_encoding, console, print_error
 

@@ -117,15 +117,29 @@ LibraryFile = Annotated[
                  callback=there("no such file; `forearm-fem library SCENARIO` makes one")),
 ]  # fmt: skip
 Declared = Annotated[list[str] | None, declared()]
+Scheduler = Annotated[
+    str | None, typer.Option(help="address of a running Dask scheduler, e.g. tcp://host:8786; default: this machine")
+]
+Workers = Annotated[
+    int | None, typer.Option(min=1, help="processes on this machine; default: what cores and memory allow")
+]
+Resume = Annotated[bool, typer.Option("--resume/--anew", help="go on with draws that the folder holds")]
 
 
-def out_folder(out: Path | None, scenario: Scenario, overrides: Sequence[str] | None = None) -> Path:
-    """The folder asked for, else ``results/NAME``; what ``--set`` changes without a name, to ``NAME-KEY-VALUE``."""
+def out_folder(
+    out: Path | None, of: Scenario | str, overrides: Sequence[str] | None = None, part: str = ""
+) -> Path:
+    """The folder asked for, else ``results/NAME`` of a scenario or name, or ``part`` of it.
+
+    What ``--set`` changes without a name goes to ``NAME-KEY-VALUE``.
+    """
     if out is not None:
         return out
+    if isinstance(of, str):
+        return Path("results") / of
     changed = read_overrides(overrides or ())
     named = "name" in changed or not changed
-    return Path("results") / (scenario.name if named else f"{scenario.name}-{label_of(changed)}")
+    return Path("results") / (of.name if named else f"{of.name}-{label_of(changed)}") / part
 
 
 @contextmanager
@@ -143,42 +157,42 @@ def job(folder: Path | None = None, *rooms: str, sums: bool = True) -> Iterator[
         held.enter_context(noted())
         display = held.enter_context(Display())
         for k, room in enumerate(rooms):
-            display("libraries", k, len(rooms))
+            display("loading", k, len(rooms))
             import_module(f"forearm_fem.{room}")
         yield display
 
 
-@contextmanager
-def stage(
+_BY_LIBRARY = (
+    "{library}: answers in place of a solve; mesh and solver keys have no effect",
+    "library: the limb acts on each disc's net force; what it does to a disc held against tilt and slide is the "
+    "layered model's, and its error is stated as contact",
+)
+
+
+def run_of(
     asked: Scenario,
     file: Path,
     out: Path | None,
     work: Callable[[Run], Any],
     overrides: Sequence[str] | None = None,
     library: Path | None = None,
-) -> Iterator[Run]:
-    """Run ``work`` on a new run with a progress display and print its notes; its folder stays locked in the block.
+) -> Run:
+    """The run of a scenario by ``work`` in its folder; its notes are printed.
 
     A ``library`` of the arm is read first, and answers in place of a solve.
     """
     from ..questions.run import Run
-    from ..store.folder import locked
 
     folder, kept = out_folder(out, asked, overrides), library_file(library)
-    with locked(folder):
-        with job() as display:
-            run = Run.start(asked, folder, file.parent, display)
-            run.asked = asked_words(file, overrides, library)
-            if kept is not None:
-                run.engine = kept
-                run.notes.append(f"{library}: answers in place of a solve; mesh and solver keys have no effect")
-                run.notes.append(
-                    "library: the limb acts on each disc's net force; what it does to a disc held against "
-                    "tilt and slide is the layered model's, and its error is stated as contact"
-                )
-            work(run)
-        print_notes(run.notes)
-        yield run
+    with job(folder) as display:
+        run = Run.start(asked, folder, file.parent, display)
+        run.asked = asked_words(file, overrides, library)
+        if kept is not None:
+            run.engine = kept
+            run.notes += [note.format(library=library) for note in _BY_LIBRARY]
+        work(run)
+    print_notes(run.notes)
+    return run
 
 
 def asked_words(file: Path, overrides: Sequence[str] | None = None, library: Path | None = None) -> str:
@@ -232,7 +246,9 @@ def transfer_file(what: Path) -> Path:
 
         several(what)  # refuses a folder of nothing known
     elif not what.exists() and not glob.glob(str(what)):
-        raise DataError(f"{what}: no such file or results folder")
+        made = Path("results") / what
+        meant = f"; did you mean {made}?" if made.is_dir() else "; `forearm-fem run SCENARIO` makes a results folder"
+        raise DataError(f"{what}: no such file or results folder{meant}")
     return what
 
 

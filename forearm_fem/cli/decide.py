@@ -15,7 +15,10 @@ from .common import (
     LibraryFile,
     OutFolder,
     Overrides,
+    Resume,
     ScenarioFile,
+    Scheduler,
+    Workers,
     ends_in,
     holds_g,
     job,
@@ -49,9 +52,9 @@ def predict(
     layered: Annotated[
         bool, typer.Option("--layered/--own", help="arms on the layered model, or by the scene's own engine")
     ] = False,
-    resume: Annotated[bool, typer.Option("--resume/--anew", help="go on with draws that the folder holds")] = True,
-    workers: Annotated[int | None, typer.Option(min=1, help="processes; default: what cores and memory allow")] = None,
-    scheduler: Annotated[str | None, typer.Option(help="address of a running Dask scheduler")] = None,
+    resume: Resume = True,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     sobol: Annotated[
         bool, typer.Option("--sobol/--no-sobol", help="Sobol' indices, with the extra 'prediction'")
     ] = True,
@@ -79,9 +82,9 @@ def validate(
     out: OutFolder = None,
     draws: Annotated[int, typer.Option(min=60, max=100_000, help="arms drawn; 60 leave about 20 for each law")] = 300,
     seed: Annotated[int, typer.Option(min=0, help="of the draws")] = 0,
-    resume: Annotated[bool, typer.Option("--resume/--anew", help="go on with draws that the folder holds")] = True,
-    workers: Annotated[int | None, typer.Option(min=1, help="processes; default: what cores and memory allow")] = None,
-    scheduler: Annotated[str | None, typer.Option(help="address of a running Dask scheduler")] = None,
+    resume: Resume = True,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     measured: Annotated[
         Path | None,
         typer.Option(help="a measured G (file or results folder) to run through the same comparison", callback=holds_g),
@@ -125,9 +128,7 @@ def design(
         bool, typer.Option("--confirm/--no-confirm", help="solve the winner in full by the scenario's own engine")
     ] = True,
     library: LibraryFile = None,
-    scheduler: Annotated[
-        str | None, typer.Option(help="address of a running Dask scheduler; default: this process")
-    ] = None,
+    scheduler: Scheduler = None,
     workers: Annotated[int | None, typer.Option(min=1, help="processes on this machine; default 1")] = None,
 ) -> None:  # fmt: skip
     """Search for the device with the largest S within limits; interrupted, it goes on where it was."""
@@ -135,7 +136,7 @@ def design(
     from ..questions.design.report import outcome_words
 
     asked = load_design(file)
-    folder = out or Path("results") / asked.asked.name
+    folder = out_folder(out, asked.asked.name)
     with job(folder) as display:
         result = run_design(
             asked, folder, arm=library_file(library), confirm=confirm, scheduler=scheduler, workers=workers,
@@ -196,19 +197,14 @@ def campaign(
                              callback=there("no such campaign file")),
     ],
     out: Annotated[Path | None, typer.Option("--out", help="default results/NAME")] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(help="address of a running Dask scheduler, e.g. tcp://host:8786; default: this machine"),
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="processes on this machine; default: what cores and memory allow")
-    ] = None,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
 ) -> None:  # fmt: skip
     """Run many variants of a scenario; finished ones are skipped, failed ones do not stop the rest."""
     from ..questions.campaign import load_campaign, run_campaign
 
     asked = load_campaign(file)
-    folder = out or Path("results") / asked.name
+    folder = out_folder(out, asked.name)
     with job(folder) as display:
         result = run_campaign(asked, folder, scheduler=scheduler, workers=workers, progress=display)
     typer.echo(result.table)
@@ -222,11 +218,11 @@ def verify(
     out: Annotated[Path, typer.Option("--out", help="folder that the page is written to")] = Path("results/verify"),
 ) -> None:
     """Check this installation against exact solutions; exit code 1 where a number misses its tolerance."""
-    from ..verification import report, run_verification
+    from ..verification.run import run_verification, verification_page
 
     with job(out) as display:
         rows = run_verification(display)
-        page = report.verification_page(rows)
+        page = verification_page(rows)
         written, _ = page.save(out, "verification")
     for line in (page.title, *page.answer, f"open {written}"):
         typer.echo(line)

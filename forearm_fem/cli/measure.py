@@ -30,8 +30,8 @@ from .common import (
     out_folder,
     print_notes,
     refuse_folder,
+    run_of,
     scene_of,
-    stage,
     stop_on_ctrl_c,
     there,
     transfer_file,
@@ -100,16 +100,14 @@ def calibrate(
 ) -> None:
     """Measure G, one actuator and one point at a time; the same command resumes after a stop."""
     from ..measurement.entry import bias_said
-    from ..store.folder import locked
 
     _refuse_idle(daq, card, through, declare, cable, snr=snr, bits=bits, latency=latency, seed=seed)
     asked = load_scenario(scenario, overrides=overrides or ())
-    folder = out or out_folder(None, asked, overrides) / "calibration"
-    with locked(folder):
-        virtual = None
-        if daq == "virtual":
-            virtual = _virtual(asked, scenario, through, declare, snr, bits, latency, seed, overrides)
-        result = _calibrated(asked, folder, daq, virtual, card, cable, ask=daq != "virtual" and not yes)
+    folder = out_folder(out, asked, overrides, "calibration")
+    virtual = None
+    if daq == "virtual":
+        virtual = _virtual(asked, scenario, through, declare, snr, bits, latency, seed, overrides)
+    result = _calibrated(asked, folder, daq, virtual, card, cable, ask=daq != "virtual" and not yes)
     for finding in result.measured.findings:
         typer.echo(finding.sentence)
     if said := bias_said(result.measured):
@@ -132,7 +130,7 @@ def _calibrated(
 
     kept = None if cable is None else read_loopback(cable)
 
-    with job() as display, stop_on_ctrl_c() as stop:
+    with job(folder) as display, stop_on_ctrl_c() as stop:
 
         def operator(where: str) -> bool:
             """True if it is to be measured there: waits for Enter where an operator is to be asked."""
@@ -168,8 +166,7 @@ def _virtual(
 
     g = measured_g(through, asked, declare, "--through")
     if g is None:
-        with stage(asked, file, None, run_solve, overrides) as job:
-            g = read_transfer(job.out / "transfer.nc")
+        g = read_transfer(run_of(asked, file, None, run_solve, overrides).out / "transfer.nc")
     return VirtualSetup(g, snr, bits, latency, seed)
 
 
@@ -257,7 +254,7 @@ def compare(
     why)."""
     scene, said = scene_of(scenario), (declaration(declare_a), declaration(declare_b))
     names = (p.resolve().name if p.is_dir() else p.stem for p in what)
-    folder = out or Path("results") / f"compare-{'-'.join(names)}"
+    folder = out_folder(out, f"compare-{'-'.join(names)}")
     with job(folder, "show.devices", "questions.compare.run") as display:
         from ..questions.compare.report import console_lines
         from ..questions.compare.run import run_compare
@@ -304,7 +301,7 @@ def fit(
 ) -> None:
     """Fit parameters of a scenario to a measured G; says what the data cannot tell and what to measure next."""
     asked = load_scenario(scenario, overrides=overrides or ())
-    folder = out or out_folder(None, asked, overrides) / "fit"
+    folder = out_folder(out, asked, overrides, "fit")
     with job(folder, "questions.compare.run") as display:
         from ..questions.compare.run import run_fit
 

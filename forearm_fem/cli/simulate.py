@@ -21,10 +21,10 @@ from .common import (
     is_g,
     job,
     library_file,
-    noted,
+    out_folder,
     print_notes,
+    run_of,
     scene_of,
-    stage,
     transfer_file,
 )
 
@@ -68,31 +68,28 @@ def run(
         return
     from ..questions.run import run_all
 
-    with stage(asked, scenario, out, run_all, overrides, library) as made:
-        if not asked.rendering.methods:
-            typer.echo(f"open {made.out / 'report.html'}")
-            return
-        _print_answer(made)
+    made = run_of(asked, scenario, out, run_all, overrides, library)
+    if not asked.rendering.methods:
+        typer.echo(f"open {made.out / 'report.html'}")
+        return
+    _print_answer(made)
 
 
 def _until(asked: Scenario, scenario: Path, last: Until, out: Path | None, overrides: Overrides) -> None:
     """Stop after the mesh or the solution, and print what that gave."""
     from ..questions.run import run_mesh, run_solve
-    from ..results.run import read_run
 
-    if last == "mesh":
-        with stage(asked, scenario, out, run_mesh, overrides) as made:
-            _print_forecast(asked, _expected(asked, scenario.parent))
-            if asked.engine == "fem":
-                typer.echo(f"mesh: {made.out / 'mesh.vtu'}")
+    made = run_of(asked, scenario, out, run_mesh if last == "mesh" else run_solve, overrides)
+    if made.record is None:
+        _print_forecast(asked, _expected(asked, scenario.parent))
+        if asked.engine == "fem":
+            typer.echo(f"mesh: {made.out / 'mesh.vtu'}")
         return
-    with stage(asked, scenario, out, run_solve, overrides) as made:
-        account = read_run(made.out / "run.json")
-        for error in account.errors:
-            band, worst = ("unknown" if e is None else f"{e:.2e}" for e in (error.band, error.worst))
-            typer.echo(f"{error.source:15} band {band}  worst e(f) {worst}")
-        typer.echo(account.accuracy)
-        typer.echo(f"G: {made.out / 'transfer.nc'}")
+    for error in made.record.errors:
+        band, worst = ("unknown" if e is None else f"{e:.2e}" for e in (error.band, error.worst))
+        typer.echo(f"{error.source:15} band {band}  worst e(f) {worst}")
+    typer.echo(made.record.accuracy)
+    typer.echo(f"G: {made.out / 'transfer.nc'}")
 
 
 def render(
@@ -120,8 +117,7 @@ def render(
     from ..questions.run import run_render
 
     asked = load_scenario(what, overrides=overrides or ())
-    with stage(asked, what, out, run_render, overrides) as made:
-        _print_answer(made)
+    _print_answer(run_of(asked, what, out, run_render, overrides))
 
 
 def _render_given(
@@ -131,21 +127,18 @@ def _render_given(
     from ..files.read import read
     from ..questions.run import Run, run_given
     from ..rendering.job import scenario_for
-    from ..store.folder import locked
 
     file, asked = transfer_file(what), scene_of(scenario)
-    with noted():  # what was recognised, and what a file does not look like
-        g = read(file, declaration(declare), scenario=asked)
-    scene, notes = scenario_for(g, asked, overrides or ())
-    folder = out or Path("results") / f"render-{what.stem}"
     base = file.parent if scenario is None else scenario_file(scenario).parent
-    with locked(folder):
-        with job() as display:
-            made = Run.given(scene, folder, base, display)
-            made.notes += [f"G: {file}", *notes]
-            run_given(made, g)
-        print_notes(made.notes)
-        _print_answer(made)
+    folder = out_folder(out, f"render-{what.stem}")
+    with job(folder) as display:
+        g = read(file, declaration(declare), scenario=asked)
+        scene, notes = scenario_for(g, asked, overrides or ())
+        made = Run.given(scene, folder, base, display)
+        made.notes += [f"drives are made on the G of {file}", *notes]
+        run_given(made, g)
+    print_notes(made.notes)
+    _print_answer(made)
 
 
 def _print_answer(made: Run) -> None:

@@ -17,7 +17,7 @@ app = typer.Typer(no_args_is_help=True)
 
 
 @app.callback()
-def installed() -> None:
+def refuse_without_extra() -> None:
     """Studies with people, from the stimulus to the statistics."""
     for package in ("pandas", "pingouin", "starlette", "uvicorn"):
         if find_spec(package) is None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..fem.assembly.coefficients import Polynomial
 from ..fem.assembly.model import ForearmModel, build_model
+from ..fem.assembly.thickness import Motion
 from ..fem.kernels.compiled import give_back
 from ..fem.linear import pardiso
 from ..fem.reduction.compile_ahead import finish_compiling
@@ -81,8 +82,11 @@ def reduction_tolerance(scenario: Scenario) -> float:
     return scenario.accuracy / 100
 
 
-def fem_model(scenario: Scenario, mesh: TissueMesh, *, supports: Supports | None = None) -> ForearmModel:
-    """Operator and ports of ``scenario`` on ``mesh``; ``supports`` replaces the scenario's."""
+def fem_model(
+    scenario: Scenario, mesh: TissueMesh, *, supports: Supports | None = None, motion: Motion | None = None
+) -> ForearmModel:
+    """Operator and ports of ``scenario`` on ``mesh``; ``supports`` replaces the scenario's, ``motion`` adds terms of
+    other thicknesses."""
     return build_model(
         mesh,
         place_ports(scenario, mesh),
@@ -91,6 +95,7 @@ def fem_model(scenario: Scenario, mesh: TissueMesh, *, supports: Supports | None
         scenario.tissues.membrane,
         element=scenario.element,
         patch=scenario.tissues.patch,
+        motion=motion,
     )
 
 

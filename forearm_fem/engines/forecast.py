@@ -112,7 +112,8 @@ class Forecast:
         ports."""
         few = tuple(
             f"{r.tissue}: {r.per_wavelength_near_ports:.1f} nodes per shear wavelength near the device at {f_max:g} "
-            f"Hz, need {NODES_NEEDED:g}; lower mesh.size_grid and mesh.grading, or sweep.f_max at these sizes"
+            f"Hz, where {NODES_NEEDED:g} are usual; the stated error of G includes it, but entries far from a cone may "
+            "be a tenth off there. If they matter, lower mesh.size_grid and mesh.grading"
             for r in self.resolution
             if r.per_wavelength_near_ports < NODES_NEEDED
         )

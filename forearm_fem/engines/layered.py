@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import MutableMapping
+from collections.abc import MutableMapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -66,20 +66,35 @@ def solve_layered(scenario: Scenario, frequency: FloatArray, *, progress: Progre
     and ends. Raises what the finite elements raise for ports, tissues and limbs that cannot be.
     """
     layers, ports = flat_layers(scenario), flat_ports(scenario)
-    discs = [flat_disc(port) for port in ports]
-
+    contacts, discs = ([flat_disc(port) for port in some] for some in (contacts_of(ports), ports))
     result = layered_compliance(
-        layers, 2 * np.pi * frequency, discs, discs, surface=flat_surface(scenario.tissues),
+        layers, 2 * np.pi * frequency, contacts, discs, surface=flat_surface(scenario.tissues),
         tolerance=_TOLERANCE, progress=progress,
     )  # fmt: skip
-    integrals = (result.quadrature + result.interpolation) * _over_points(result.values, ports)
+    values = between_ports(result.values, ports)
+    integrals = (result.quadrature + result.interpolation) * _over_points(values, ports)
     error = np.asarray(result.truncation + integrals)
     estimate = quadrature_estimate(
         frequency, error,
         "Hankel quadrature's own control and the last coefficients between frequencies, relative to the largest entry "
         "of points, and the last terms and orders of the tractions under rigid discs, relative to the largest entry",
     )  # fmt: skip
-    return Compliance(frequency, result.values, ports, (estimate,))
+    return Compliance(frequency, values, ports, (estimate,))
+
+
+def contacts_of(ports: Sequence[Port]) -> list[Port]:
+    """Those of the ``ports`` that drive."""
+    return [port for port in ports if port.kind == "contact"]
+
+
+def between_ports(values: ComplexArray, ports: Sequence[Port]) -> ComplexArray:
+    """All pairs (n, n_port, n_port) of ``ports`` from the columns (n, n_port, n_contact) of contacts; NaN between two
+    points, which do not drive."""
+    out = np.full((*values.shape[:2], len(ports)), np.nan + 0j)
+    contacts = [i for i, port in enumerate(ports) if port.kind == "contact"]
+    out[:, contacts] = values.swapaxes(1, 2)
+    out[:, :, contacts] = values
+    return out
 
 
 def _over_points(values: ComplexArray, ports: tuple[Port, ...]) -> FloatArray:

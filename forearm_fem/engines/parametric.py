@@ -13,8 +13,9 @@ from scipy.stats import qmc
 
 from .. import __version__
 from ..accuracy.estimates import PairErrors, raised_to_row_column_mean
-from ..errors import ReductionError, ScenarioError
+from ..errors import GeometryError, ReductionError, ScenarioError
 from ..fem.assembly.model import readings
+from ..fem.assembly.thickness import follows_thickness, motion_of
 from ..fem.kernels.compiled import freed_memory_kept
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.parametric_greedy import Growth, Piece, TrialSolve, piece_at, united_model
@@ -23,7 +24,9 @@ from ..fem.reduction.poles import chebyshev_frequencies, rational
 from ..fem.reduction.reduced_model import ReducedModel
 from ..geometry.cache import cached_mesh
 from ..geometry.device.place import GridPlaces, grid_places
+from ..geometry.limb.thickness import stretched, stretches
 from ..geometry.mesh.tissue_mesh import TissueMesh
+from ..laws import law as law_class
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
@@ -32,7 +35,6 @@ from ..scenario.sweep import frequencies
 from ..store.record import dims
 from ..store.shelf import Shelf
 from ..store.text import digest_of
-from ..tissue import law as law_class
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray
@@ -52,6 +54,7 @@ _ROUGHER = 2  # degrees of the polynomials that a moved grid is read by: what on
 _POOL = 48  # draws that a model is made from
 _TYPICAL = 100.0  # Hz at which springpots are as stiff as the scenario's tissue
 _MIDDLE = 0.5
+_OF_THICKNESS = Growth(solves=12, checks=4, states=80)  # effort where arms differ in thickness, too
 
 
 @dataclass(frozen=True)
@@ -59,27 +62,33 @@ class Ranges:
     """Ranges of arms around a scenario: uniform in the logarithm, tension uniform.
 
     ``moduli`` multiplies or divides mu and eta of each soft tissue (a springpot's size at 100 Hz); ``tension`` [N/m];
-    ``laws`` in turn, whose classes say what is near to the scenario's.
+    ``laws`` in turn, whose classes say what is near to the scenario's; ``thickness`` multiplies or divides that of each
+    layer.
     """
 
     moduli: float = 2.0
     tension: tuple[float, float] = (0.0, 92.0)
     laws: tuple[str, ...] = ("kelvin-voigt", "zener", "springpot")
+    thickness: float = 1.0
 
     def draws(self, scenario: Scenario, count: int, *, seed: int = 0) -> tuple[Scenario, ...]:
         """``count`` arms by a Latin hypercube over all inputs."""
         names = soft_tissues(scenario)
-        places = qmc.LatinHypercube(3 * len(names) + 1, rng=seed).random(count)
+        layers = len(getattr(scenario.limb, "layers", ())) if self.thickness != 1 else 0
+        places = qmc.LatinHypercube(3 * len(names) + 1 + layers, rng=seed).random(count)
         return tuple(self._draw(scenario, names, self.laws[i % len(self.laws)], p) for i, p in enumerate(places))
 
     def _draw(self, scenario: Scenario, names: Sequence[str], law: str, places: FloatArray) -> Scenario:
         tissues, data = resolve_tissues(scenario), scenario.model_dump(mode="json", exclude_none=True)
-        for name, place in zip(names, places[:-1].reshape(-1, 3), strict=True):
+        last = 3 * len(names)
+        for name, place in zip(names, places[:last].reshape(-1, 3), strict=True):
             kept = {k: v for k, v in data["tissues"]["override"].get(name, {}).items() if k in ("density", "bulk")}
             stiff, viscous = self.moduli ** (2 * place[:2] - 1)
             near = law_class(law).near(tissues[name].modulus, 2 * np.pi * _TYPICAL, stiff, viscous, place[2])
             data["tissues"]["override"][name] = {**kept, **near.stated(law)}
-        data["tissues"]["membrane"]["tension"] = float(np.interp(places[-1], [0, 1], self.tension))
+        data["tissues"]["membrane"]["tension"] = float(np.interp(places[last], [0, 1], self.tension))
+        for layer, place in zip(data["limb"].get("layers", ()), places[last + 1 :], strict=False):
+            layer["thickness"] *= self.thickness ** (2 * place - 1)
         return parse_scenario(data)
 
 
@@ -94,7 +103,8 @@ class ParametricModel:
 
     ``pieces`` are the reduced models of the parts of the band. ``checks`` are comparisons with direct solves that had
     no part in making them; ``factor`` is what their estimates were too small by. ``around`` are the places where points
-    of the grid can be read, None where they stay where they are.
+    of the grid can be read, None where they stay where they are. ``thickness`` [m] are the least and the largest of
+    each layer that it was made for, then of all together; empty where layers stay as they are.
     """
 
     scenario: Scenario
@@ -104,6 +114,7 @@ class ParametricModel:
     checks: tuple[TrialSolve, ...]
     solves: int
     around: GridPlaces | None = None
+    thickness: tuple[tuple[float, float], ...] = ()
 
     @property
     def name(self) -> str:
@@ -112,8 +123,12 @@ class ParametricModel:
 
     def holds(self, scenario: Scenario) -> str:
         """See :class:`.Engine`: scenarios that differ in what the model's terms can follow."""
+        return unfollowed(self.scenario, scenario, self.names, unread=self._unread(scenario))
+
+    def _unread(self, scenario: Scenario) -> set[str]:
+        """Keys in which the ``scenario`` may differ."""
         grid = {"grid"} if self.follows(scenario) else set()
-        return unfollowed(self.scenario, scenario, self.names, unread={*_UNREAD, *grid})
+        return {*_UNREAD, *grid, *({"limb"} if self.stretches(scenario) else ())}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -132,17 +147,30 @@ class ParametricModel:
 
     def follows(self, scenario: Scenario) -> bool:
         """True if the grid of ``scenario`` can be read where it lies."""
-        if scenario.grid.direction != self.scenario.grid.direction:
+        return self._reads_own(scenario) or (self.around is not None and self.around.hold(scenario))
+
+    def _reads_own(self, scenario: Scenario) -> bool:
+        """True if the grid of ``scenario`` is the model's own."""
+        mine, its = self.scenario.grid, scenario.grid
+        return its.direction == mine.direction and its.places == mine.places
+
+    def stretches(self, scenario: Scenario) -> bool:
+        """True if the layers of ``scenario`` are as thick as those of some arm that the model was made for, or as the
+        scene's."""
+        if scenario.limb == self.scenario.limb:
+            return True
+        if not self.thickness or stretches(self.scenario.limb, scenario.limb) is None:
             return False
-        own = scenario.grid.places == self.scenario.grid.places
-        return own or (self.around is not None and self.around.hold(scenario))
+        own = zip(_thicknesses(scenario), self.thickness, strict=True)
+        return all(a / BEYOND <= t <= b * BEYOND for t, (a, b) in own)
 
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """Compliance of all ports for a draw, with the error of the reduction stated for it.
 
         ``scenario`` may differ from the model's own in tissues (not their bulk moduli), in membrane and tape as far as
-        the model has terms for them, in where the grid lies by some millimetres (:meth:`follows`), in the device but
-        for its contacts, and in what compliances do not follow from. Ports are named and placed as the model's own.
+        the model has terms for them, in its layers' thicknesses (:meth:`stretches`), in where the grid lies by some
+        millimetres (:meth:`follows`), in the device but for its contacts, and in what compliances do not follow from.
+        Ports are named and placed as the model's own.
         Raises ScenarioError for anything else and ReductionError for frequencies more than 5 % beyond the band.
         """
         return self.answer(scenario, frequency)[0]
@@ -158,8 +186,7 @@ class ParametricModel:
 
     def _asked(self, scenario: Scenario, frequency: FloatArray) -> list[tuple[Piece, BoolArray]]:
         """Pieces of the band with the places (n,) of the frequencies that they answer; raises as :meth:`compliance`."""
-        grid = {"grid"} if self.follows(scenario) else set()
-        check_followable(self.scenario, scenario, self.names, unread={*_UNREAD, *grid})
+        check_followable(self.scenario, scenario, self.names, unread=self._unread(scenario))
         band = frequencies(self.scenario.sweep)
         beyond = frequency[(frequency < band[0] / BEYOND) | (frequency > band[-1] * BEYOND)]
         if len(beyond):
@@ -184,19 +211,20 @@ class ParametricModel:
     def _drawn(self, piece: Piece, scenario: Scenario) -> tuple[Piece, ReducedModel]:
         """The models of a ``piece`` with the draw's coefficients and with its points where its grid lies, and the whole
         one with points read by polynomials of two degrees less, which tells what these err by."""
-        whole, core = (with_scenario(m, scenario) for m in (piece.whole, piece.core))
-        if self.around is not None and scenario.grid.places != self.scenario.grid.places:
-            degree = self.around.count - 1
+        whole, core = (with_scenario(m, scenario, self.scenario.limb) for m in (piece.whole, piece.core))
+        if self.around is not None and not self._reads_own(scenario):
+            degree, above = self.around.count - 1, self.around.turned and scenario.grid.direction == "vertical"
             shares, rougher = (self.around.shares(scenario, d) for d in (degree, degree - _ROUGHER))
-            rough = self._moved(whole, rougher)
-            return replace(piece, whole=self._moved(whole, shares), core=self._moved(core, shares)), rough
+            rough = self._moved(whole, rougher, above)
+            return replace(piece, whole=self._moved(whole, shares, above), core=self._moved(core, shares, above)), rough
         return replace(piece, whole=whole, core=core), whole
 
-    def _moved(self, reduced: ReducedModel, shares: FloatArray) -> ReducedModel:
-        """The model whose points read ``shares`` (n_point, k) of the k places around each."""
+    def _moved(self, reduced: ReducedModel, shares: FloatArray, above: bool) -> ReducedModel:
+        """The model whose points read ``shares`` (n_point, k) of the k places around each, along the normals or from
+        ``above``."""
         points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
         functionals = reduced.functionals.copy()
-        places = reduced.places.reshape(reduced.size, *shares.shape)
+        places = reduced.places.reshape(reduced.size, -1, *shares.shape)[:, int(above)]
         functionals[:, points] = np.einsum("rpk,pk->rp", places, shares)
         return replace(reduced, functionals=functionals)
 
@@ -331,36 +359,59 @@ def parametric_model(
         raise ScenarioError(
             "engine: a parametric model needs engine = 'fem'; the layered model solves each draw itself"
         )
-    growth = growth or Growth()
     given = tuple(draws) if draws is not None else (ranges or Ranges()).draws(scenario, _POOL)
+    growth = growth or (Growth() if all(draw.limb == scenario.limb for draw in given) else _OF_THICKNESS)
     if not given:
         raise ScenarioError("a parametric model needs at least one draw to be made from; give some, or ranges")
     own = _with_all_sheets(scenario, given)
     tell(progress, "mesh", 0, 0)
     mesh, band = mesh or cached_mesh(own, base=Path(base), progress=progress), frequencies(own.sweep)
-    tissues = [draw.tissues.model_dump(mode="json") for draw in given]
+    tissues = [(draw.tissues.model_dump(mode="json"), draw.limb.model_dump(mode="json")) for draw in given]
     key = digest_of([__version__, solve_key(own, mesh, band), tissues, astuple(growth)])[:32]
     shelf = Shelf(default_cache_dir() / "parametric" / f"{key}.sqlite", "the parametric model")
     with suppress(ScenarioError):
         if (kept := shelf.record(_MODEL, ParametricFile)) is not None:
             return kept.model
     tell(progress, "matrices", 0, 0)
-    model = fem_model(own, mesh)
+    given = tuple(draw for draw in given if not _too_thick(own, draw, mesh))
+    if not given:
+        raise ScenarioError("limb.layers: no draw leaves enough of the core of the scene's mesh; give thinner ones")
+    motion = motion_of(mesh, own.limb, [draw.limb for draw in given])
+    model = fem_model(own, mesh if motion is None else motion.mesh, motion=motion)
     names = tuple(t.name for t in model.operator.terms)
+    moves = follows_thickness(names)
     for draw in given:
-        check_followable(own, draw, names, unread=_UNREAD)
-    found = [coefficients_of(names, draw) for draw in given]
+        check_followable(own, draw, names, unread=(*_UNREAD, "limb") if moves else _UNREAD)
+    found = [coefficients_of(names, draw, own.limb) for draw in given]
     parts = Shelf(shelf.file.with_name(f"{key}-parts.sqlite"), "what is solved for the parametric model")
     around = grid_places(own, mesh)
     read = readings(model, around[1] if around else ())
     with freed_memory_kept():
         united = united_model(model, found, band, own.solver, growth, parts, progress, read)
     made = ParametricModel(
-        own, model.ports, united.pieces, united.trials, united.checks, united.solves, around[0] if around else None
-    )
+        own, model.ports, united.pieces, united.trials, united.checks, united.solves, around[0] if around else None,
+        tuple((min(t), max(t)) for t in zip(*(_thicknesses(d) for d in (own, *given)), strict=True)) if moves else (),
+    )  # fmt: skip
     if shelf.keep(_MODEL, ParametricFile.of(made)):
         parts.remove()
     return made
+
+
+def _thicknesses(scenario: Scenario) -> tuple[float, ...]:
+    """Of each layer [m], then of all together."""
+    found = tuple(layer.thickness for layer in getattr(scenario.limb, "layers", ()))
+    return (*found, sum(found))
+
+
+def _too_thick(own: Scenario, draw: Scenario, mesh: TissueMesh) -> bool:
+    """True if layers leave too little of the core of the ``mesh``."""
+    if draw.limb == own.limb or stretches(own.limb, draw.limb) is None:
+        return False
+    try:
+        stretched(mesh, own.limb, draw.limb)
+    except GeometryError:
+        return True
+    return False
 
 
 @dataclass(frozen=True, eq=False)
@@ -402,6 +453,7 @@ class ParametricFile:
     scenario: dict[str, Any]
     solves: int
     around: GridPlaces | None
+    thickness: tuple[tuple[float, float], ...] = ()
 
     @classmethod
     def of(cls, model: ParametricModel) -> ParametricFile:
@@ -410,7 +462,7 @@ class ParametricFile:
         pieces = tuple(_PieceOfFile(p.high, *(_Reduced.of(m) for m in (p.whole, p.core))) for p in model.pieces)
         return cls(
             first.names, first.shares, model.ports, pieces, model.trials, model.checks,
-            model.scenario.model_dump(mode="json"), model.solves, model.around,
+            model.scenario.model_dump(mode="json"), model.solves, model.around, model.thickness,
         )  # fmt: skip
 
     @property
@@ -425,7 +477,9 @@ class ParametricFile:
             return with_scenario(ReducedModel(self.names, (), *arrays, Basis(), low, places=of.places), scenario)
 
         pieces = tuple(Piece(p.high, reduced(p.whole), reduced(p.core)) for p in self.pieces)
-        return ParametricModel(scenario, self.ports, pieces, self.trials, self.checks, self.solves, self.around)
+        return ParametricModel(
+            scenario, self.ports, pieces, self.trials, self.checks, self.solves, self.around, self.thickness
+        )
 
 
 def _with_all_sheets(scenario: Scenario, draws: Sequence[Scenario]) -> Scenario:

@@ -1,4 +1,4 @@
-"""The whole way in memory: scenario -> compliance -> G with its errors -> drives, displacements, S."""
+"""The whole way in memory: scenario -> engine -> compliance -> G with its errors -> drives, displacements, S."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from .. import __version__
 from ..accuracy.discretisation import discretisation_of
@@ -19,12 +19,13 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..progress import Progress
 from ..rendering import Rendering
 from ..rendering.interval import Strength
-from ..rendering.job import RenderJob, render_transfer
+from ..rendering.job import render_transfer
 from ..scenario import Scenario
 from ..scenario.sweep import frequencies
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix, finite
-from .engine import Engine, SolvingEngine, engine_of, refuse_unheld
+from ..typing import FloatArray
+from ..usercode import is_code, named
 from .layered import LayeredEngine, flat_notes
 from .notes import model_notes, near_disc_notes
 from .solved import Solved
@@ -37,6 +38,71 @@ if TYPE_CHECKING:
 
 __all__ = ["Simulation", "render", "simulate"]
 
+
+# Engine: what answers for a scenario with the compliance between its ports.
+
+
+class Engine(Protocol):
+    """A model of limbs: finite elements, flat layers, tables, a reduced model, a library, or the user's own."""
+
+    @property
+    def name(self) -> str:
+        """For reports, e.g. "layered"."""
+        ...
+
+    def holds(self, scenario: Scenario) -> str:
+        """Reason, a sentence with the remedy, that it cannot answer for ``scenario``; empty where it can.
+
+        What shows only while it works, such as ports beside the limb, is raised there.
+        """
+        ...
+
+    def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
+        """Of the contacts and points of ``scenario`` at ``frequency`` (n,) [Hz], with an estimate per source of error.
+
+        Entries between two points may be NaN: no device drives there.
+        """
+        ...
+
+
+@runtime_checkable
+class SolvingEngine(Engine, Protocol):
+    """An engine that gives besides what errors by mesh and ends follow from, once the device is known."""
+
+    def solved(self, scenario: Scenario, frequency: FloatArray) -> Solved:
+        """The compliance, with those on a second mesh and with other ends."""
+        ...
+
+
+def engine_of(
+    scenario: Scenario, *, base: Path = Path("."), mesh: TissueMesh | None = None, progress: Progress | None = None
+) -> Engine:
+    """The engine that the scenario names; ``mesh`` is the one that finite elements take, made where it is None.
+
+    A class of the user's own is made by ``Class.of(scenario)`` where it has that, else by ``Class()``.
+    """
+    if is_code(scenario.engine):
+        made = named(scenario.engine, "engine")
+        found: Engine = made.of(scenario) if hasattr(made, "of") else made()
+        if lacking := [what for what in ("name", "holds", "compliance") if not hasattr(found, what)]:
+            raise ScenarioError(f"engine: {scenario.engine} has no {lacking[0]}; an engine has name, holds, compliance")
+        return found
+    if scenario.engine == "layered":
+        from .layered import LayeredEngine
+
+        return LayeredEngine(progress)
+    from .solved import FemEngine
+
+    return FemEngine(base, mesh, progress)
+
+
+def refuse_unheld(engine: Engine, scenario: Scenario) -> None:
+    """ScenarioError where ``engine`` cannot answer for ``scenario``."""
+    if reason := engine.holds(scenario):
+        raise ScenarioError(reason)
+
+
+# The whole way in memory: scenario -> compliance -> G with its errors -> drives, displacements, S.
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Simulation:
@@ -177,10 +243,3 @@ def render(simulation: Simulation, *, progress: Progress | None = None) -> Rende
             "render_transfer(SCENARIO, G), or forearm_fem.rendering.render_all(G)"
         )
     return render_transfer(simulation.scenario, simulation.transfer, base=simulation.base, progress=progress)
-
-
-def account_of(
-    scenario: Scenario, transfer: TransferMatrix, rendering: Rendering, *, base: str | Path = "."
-) -> Strength:
-    """Intervals and companions of every S of ``rendering``, which :func:`render_transfer` made of ``transfer``."""
-    return RenderJob.of(scenario, transfer, base=base).account(transfer, rendering)

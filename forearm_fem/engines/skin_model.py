@@ -17,8 +17,10 @@ from ..fem.assembly.coefficients import Coefficient, term_coefficient
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.poles import PoleResidue, pole_residue
 from ..fem.reduction.reduced_model import ReducedModel
+from ..geometry.limb.thickness import stretches
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
+from ..scenario.limb import Limb
 from ..scenario.load import read_overrides
 from ..scenario.sweep import frequencies
 from ..store.record import dims, load, save
@@ -139,15 +141,17 @@ class SkinModel:
         return replace(self, scenario=after, reduced=with_scenario(self.reduced, after), poles=None, solved=old)
 
 
-def with_scenario(reduced: ReducedModel, scenario: Scenario) -> ReducedModel:
-    """The reduced matrices with the coefficients that ``scenario`` gives their terms."""
-    return replace(reduced, coefficients=coefficients_of(reduced.names, scenario))
+def with_scenario(reduced: ReducedModel, scenario: Scenario, limb: Limb | None = None) -> ReducedModel:
+    """The reduced matrices with the coefficients that ``scenario`` gives their terms (:func:`coefficients_of`)."""
+    return replace(reduced, coefficients=coefficients_of(reduced.names, scenario, limb))
 
 
-def coefficients_of(names: Sequence[str], scenario: Scenario) -> tuple[Coefficient, ...]:
-    """Coefficients of the terms ``names`` in ``scenario``."""
+def coefficients_of(names: Sequence[str], scenario: Scenario, limb: Limb | None = None) -> tuple[Coefficient, ...]:
+    """Coefficients of the terms ``names`` in ``scenario``, whose layers may be of other thicknesses than the ``limb``
+    that the terms are of."""
     tissues, sheets = resolve_tissues(scenario), scenario.tissues
-    return tuple(term_coefficient(n, tissues, scenario.supports, sheets.membrane, sheets.patch) for n in names)
+    found = (stretches(limb, scenario.limb) if limb is not None else None) or {}
+    return tuple(term_coefficient(n, tissues, scenario.supports, sheets.membrane, sheets.patch, found) for n in names)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,7 @@ from scipy.io.matlab import MatReadWarning
 from ..errors import DataError
 from ..transfer import TransferMatrix
 from .declaration import NEEDS, Declaration, Ports, RawMatrix, asked, declare
-from .meaning import understand
-from .reader import Reader
+from .reader import Reader, understand
 from .reading import RecognitionWarning, reading, text_in
 
 _FREQUENCY = frozenset({

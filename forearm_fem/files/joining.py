@@ -14,9 +14,8 @@ import numpy as np
 from ..errors import AccuracyWarning, DataError
 from ..transfer import TransferMatrix
 from .declaration import FOI, Declaration, Ports, RawMatrix, axes_by_length, declare
-from .meaning import understand
 from .naming import as_named
-from .reader import Reader
+from .reader import Reader, understand
 from .reading import RecognitionWarning
 from .sweeps import channels_of, read_sweep, waveforms
 

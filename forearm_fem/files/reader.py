@@ -1,15 +1,345 @@
-"""A kind of file: its endings, what may be declared of it, and how its content becomes a matrix."""
+"""A kind of file: its endings, what may be declared of it, and how its content becomes G."""
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
+from types import MappingProxyType
+from typing import Any, ClassVar, Literal
 
-from ..errors import DataError
+import numpy as np
+
+from ..errors import AccuracyWarning, DataError
+from ..ports import Port
 from ..transfer import TransferMatrix
-from .declaration import EVERY, SWEEPS, Declaration, Ports, RawMatrix
-from .meaning import understand
+from ..typing import ComplexArray, FloatArray
+from ..units import parse_unit, to_displacement
+from .declaration import (
+    EVERY,
+    FOI,
+    SWEEPS,
+    Declaration,
+    PortDeclaration,
+    Ports,
+    RawMatrix,
+    Spectrum,
+    axes_by_length,
+    declare,
+    unsaid,
+)
+from .naming import placed_by_name, renamed, strange_names, unknown_names
+from .reading import RecognitionWarning
 
+# From a file's content and what is declared of it to G in metres per drive, each entry at its port.
+
+_HERMITIAN = 1e-6  # of the largest value: how far a two-sided spectrum may be from G(-f) = conj G(f)
+_SLOW = 5.0  # Hz: no sweep of skin ends below it
+_SAME = 1e-6  # relative: frequencies closer than this are one, as where two G are compared
+_ARRAYS = ("values", "valid", "deviation")
+_ALLOWED: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "quantity": ("displacement", "velocity", "acceleration"),
+        "spectrum": ("one-sided", "two-sided"),
+        "sign": ("+iwt", "-iwt"),
+    }
+)
+
+
+def understand(
+    raws: RawMatrix | Sequence[RawMatrix], declaration: Declaration, ports: Ports | None = None
+) -> TransferMatrix:
+    """G in metres per drive from what one file holds, or several that make one G, and what is declared about it.
+
+    ``ports`` (outputs, inputs) serve where neither the file nor the declaration has any; a file that names its columns
+    is then read by these names (:func:`.naming.placed_by_name`). Raises DataError for all that nobody says at once, and
+    where file and declaration contradict each other.
+    """
+    several = [raws] if isinstance(raws, RawMatrix) else list(raws)
+    known = _known_ports(several[0], declaration, ports)
+    named = [_named(raw, declaration, known) for raw in several]
+    if known is not None:
+        unknown_names(named, declaration, several)
+    for raw in named:
+        strange = "" if known is None else strange_names(raw, *known)
+        if open_ends := [s for s in (strange, unsaid(raw, declaration, known)) if s]:
+            raise DataError(f"{raw.name}: {'; it '.join(open_ends)}")
+    assert known is not None  # else asked for
+    parts = [_part(raw, declaration, known) for raw in named]
+    transfer = parts[0] if len(parts) == 1 else _joined(parts)
+    low, high = declaration.band or (0.0, np.inf)
+    keep = (transfer.frequency >= low - 1e-9) & (transfer.frequency <= high + 1e-9)
+    name = several[0].name
+    if not keep.any():
+        raise DataError(f"{name}: no frequency lies in the declared band {low:g} to {high:g} Hz")
+    cut = _rows(transfer, keep)
+    if cut["valid"] is not None and not cut["valid"].any():
+        raise DataError(f"{name}: every entry is zero or not finite; the file holds no measurement")
+    return replace(transfer, frequency=transfer.frequency[keep], **cut)
+
+
+def _known_ports(raw: RawMatrix, declaration: Declaration, ports: Ports | None) -> Ports | None:
+    outputs = raw.outputs or _declared(declaration.outputs, "point") or (ports[0] if ports else None)
+    inputs = raw.inputs or _declared(declaration.inputs, "contact") or (ports[1] if ports else None)
+    return None if outputs is None or inputs is None else (outputs, inputs)
+
+
+def _declared(ports: tuple[PortDeclaration, ...] | None, kind: Literal["point", "contact"]) -> tuple[Port, ...] | None:
+    if ports is None:
+        return None
+    return tuple(Port(p.name, kind, p.position, radius=p.radius) for p in ports)
+
+
+def _named(raw: RawMatrix, declaration: Declaration, known: Ports | None) -> RawMatrix:
+    """``raw`` turned where the hammer roved, and with its columns called as the ports are."""
+    if declaration.roving == "hammer":
+        raw = _reciprocal(raw, declaration)
+    return raw if known is None else renamed(raw, declaration, *known)
+
+
+def _reciprocal(raw: RawMatrix, declaration: Declaration) -> RawMatrix:
+    """``raw`` with responses and drives exchanged: where the hammer hit is where the skin would move, as displacement
+    per force is the same either way. DataError for a drive that is no force."""
+    unit = raw.unit or declaration.unit
+    if unit is not None and parse_unit(unit).si != "m/N":
+        raise DataError(
+            f"{raw.name}: roving = 'hammer' takes G by reciprocity, which holds between force and motion, but its unit "
+            f"is {unit}; leave it out"
+        )
+    axes = raw.axes or declaration.axes
+    if axes is None or sorted(axes) != sorted(FOI) or raw.values.ndim != 3:
+        return raw  # told from their lengths later, by the ports they will be of, or refused there
+    swapped = tuple({"output": "input", "input": "output"}.get(a, a) for a in axes)
+    order = [swapped.index(a) for a in FOI]
+    arrays = {k: None if (a := getattr(raw, k)) is None else np.transpose(a, order) for k in _ARRAYS}
+    names = None if raw.names is None else (raw.names[1], raw.names[0])
+    changed: dict[str, Any] = {**arrays, "names": names, "axes": FOI}
+    return replace(raw, provenance={**raw.provenance, "reciprocity": "the hammer roved"}, **changed)
+
+
+def _part(raw: RawMatrix, declaration: Declaration, known: Ports) -> TransferMatrix:
+    """G of one file on all ``known`` ports; what it lacks is marked."""
+    outputs, inputs = known
+    if declaration.roving == "hammer":  # its axes were put in order
+        declaration = declaration.model_copy(update={"axes": None} if raw.axes is not None else {})
+    named = placed_by_name(raw, outputs, inputs)
+    ordered = _ordered(named, declaration, len(outputs), len(inputs))
+    ordered, frequency = _united(ordered, _frequency(ordered, declaration))
+    one_sided = _one_sided(ordered, frequency, _agreed(raw, declaration, "spectrum"))
+    part = _metres(one_sided, declaration, outputs, inputs)
+    if odd := _odd(ordered, outputs, inputs):
+        warnings.warn(f"{raw.name}: {odd}", AccuracyWarning, stacklevel=4)
+    return part
+
+
+def _rows(result: Any, rows: Any) -> dict[str, Any]:
+    """The arrays over frequency of ``result`` at ``rows``."""
+    return {k: None if (a := getattr(result, k)) is None else a[rows] for k in _ARRAYS}
+
+
+def _odd(raw: RawMatrix, outputs: tuple[Port, ...], inputs: tuple[Port, ...]) -> str:
+    """Doubt of the meaning of ``raw`` (frequency, output, input), and the likelier one; "" for none."""
+    if raw.frequency is not None and 0 < (last := float(np.max(raw.frequency))) < _SLOW:
+        return f"its frequencies end at {last:g} Hz; if they are kilohertz, nothing that is made of this G holds"
+    finite = np.nan_to_num(raw.values)
+    real = finite.any(axis=0) & ~finite.imag.any(axis=0)
+    if len(finite) < 2 or not real.any():
+        return ""
+    o, i = (int(k[0]) for k in np.nonzero(real))
+    which = "every value"
+    if real.sum() < finite.any(axis=0).sum():
+        which += f" of {real.sum()} entries, of {outputs[o].name} <- {inputs[i].name} first,"
+    return (
+        f"{which} is real; if these are magnitudes or real parts alone, the phase is lost and nothing that is made of "
+        "this G holds: export real and imaginary part"
+    )
+
+
+def _agreed(raw: RawMatrix, declaration: Declaration, key: str) -> Any:
+    """Value by the file, or the declaration, or None; DataError if they differ."""
+    said, declared = getattr(raw, key), getattr(declaration, key)
+    both = said is not None and declared is not None
+    if both and said != declared and not (key == "unit" and parse_unit(said) == parse_unit(declared)):
+        raise DataError(
+            f"{raw.name}: the file says {key} = {said}, the declaration {declared}; correct the declaration"
+        )
+    value = said if said is not None else declared
+    if value is not None and value not in (allowed := _ALLOWED.get(key, (value,))):
+        choices = " or ".join(map(repr, allowed))
+        raise DataError(f"{raw.name}: says {key} = {value!r}, which is unknown; correct the file to {choices}")
+    return value
+
+
+def _ordered(raw: RawMatrix, declaration: Declaration, n_out: int, n_in: int) -> RawMatrix:
+    """``raw`` in the order (frequency, output, input)."""
+    axes = _agreed(raw, declaration, "axes")
+    if axes is None:
+        axes = axes_by_length(raw, n_out, n_in)
+        assert axes is not None  # else asked for
+        warnings.warn(RecognitionWarning(raw.name, f"axes of shape {raw.values.shape}", ", ".join(axes)), stacklevel=5)
+    if sorted(axes) != sorted(FOI) or raw.values.ndim != 3:
+        raise DataError(
+            f"{raw.name}: an array of shape {raw.values.shape} cannot have the axes {', '.join(axes)}; "
+            "name frequency, output and input once each"
+        )
+    order = [axes.index(a) for a in FOI]
+    turned: dict[str, Any] = {
+        k: a if (a := getattr(raw, k)) is None else np.ascontiguousarray(np.transpose(a, order)) for k in _ARRAYS
+    }
+    result = replace(raw, axes=FOI, **turned)
+    if result.values.shape[1:] != (n_out, n_in):
+        raise DataError(
+            f"{raw.name}: holds {result.values.shape[1]} outputs and {result.values.shape[2]} inputs, "
+            f"expected {n_out} and {n_in}; declare other axes, or name the scenario that was measured"
+        )
+    return result
+
+
+def _frequency(raw: RawMatrix, declaration: Declaration) -> FloatArray:
+    n = len(raw.values)
+    if raw.frequency is not None:
+        frequency = np.asarray(raw.frequency, dtype=float).ravel()
+        if len(frequency) != n:
+            raise DataError(
+                f"{raw.name}: {len(frequency)} frequencies for {n} matrices; the file is cut short or mixed up"
+            )
+        if not np.all(np.isfinite(frequency)):
+            raise DataError(f"{raw.name}: some frequencies are not finite; repair the frequency vector")
+        return frequency
+    assert declaration.sample_rate is not None  # else asked for
+    if _agreed(raw, declaration, "spectrum") == "two-sided":
+        return np.arange(n) * declaration.sample_rate / n
+    return np.arange(n) * declaration.sample_rate / (2 * (n - 1))
+
+
+def _united(raw: RawMatrix, frequency: FloatArray) -> tuple[RawMatrix, FloatArray]:
+    """Rows at frequencies that differ by rounding alone as one: entries measured with axes of their own have such.
+
+    DataError where an entry is known in two of them.
+    """
+    step = np.diff(frequency)
+    near = (step > 0) & (step < _SAME * frequency[1:])
+    if not near.any():
+        return raw, frequency
+    row = np.concatenate([[0], np.cumsum(~near)])
+    known = np.isfinite(raw.values) if raw.valid is None else raw.valid & np.isfinite(raw.values)
+    shape = (row[-1] + 1, *raw.values.shape[1:])
+    count = np.zeros(shape, dtype=int)
+    np.add.at(count, row, known)
+    if (count > 1).any():
+        first = frequency[np.nonzero(row == np.nonzero((count > 1).any(axis=(1, 2)))[0][0])[0]]
+        raise DataError(
+            f"{raw.name}: {float(first[0])!r} and {float(first[1])!r} Hz are one frequency, and some entry is known at "
+            "both; keep one of them"
+        )
+    at, o, i = np.nonzero(known)
+    values, deviation = np.full(shape, np.nan + 0j), None if raw.deviation is None else np.full(shape, np.nan)
+    values[row[at], o, i] = raw.values[at, o, i]
+    if deviation is not None and raw.deviation is not None:
+        deviation[row[at], o, i] = raw.deviation[at, o, i]
+    firsts = np.concatenate([[True], ~near])
+    return replace(raw, values=values, valid=count > 0, deviation=deviation), frequency[firsts]
+
+
+def _one_sided(raw: RawMatrix, frequency: FloatArray, spectrum: Spectrum) -> RawMatrix:
+    """The positive frequencies; a two-sided array must mirror itself, a one-sided one must not."""
+    mirrored = _mirror_error(raw.values)
+    if spectrum == "two-sided":
+        if mirrored > _HERMITIAN:
+            raise DataError(
+                f"{raw.name}: declared two-sided, but its upper half is not the conjugate mirror of the lower one (off "
+                f"by {mirrored:.1e}); it is one-sided, in another bin order, or damaged"
+            )
+        keep = slice(1, (len(frequency) + 1) // 2)
+    else:
+        if raw.spectrum is None and mirrored < _HERMITIAN and len(frequency) > 8:
+            said = declare("spectrum", "'two-sided'")
+            raise DataError(f"{raw.name}: declared one-sided, but its upper half mirrors the lower one; use {said}")
+        keep = slice(int(frequency[0] == 0), None)
+    kept = frequency[keep]
+    if len(kept) == 0 or kept[0] <= 0 or np.any(np.diff(kept) <= 0):
+        raise DataError(
+            f"{raw.name}: the frequencies must be positive and increase; sort them, or declare the other spectrum"
+        )
+    return replace(raw, frequency=kept, **_rows(raw, keep))
+
+
+def _mirror_error(values: ComplexArray) -> float:
+    """max |G_k - conj G_(n-k)| / max |G|, 1 for nothing to compare."""
+    finite = np.where(np.isfinite(values), values, 0)
+    size = float(np.abs(finite).max(initial=0.0))
+    if len(values) < 4 or size == 0:
+        return 1.0
+    return float(np.abs(finite[1:] - finite[:0:-1].conj()).max() / size)
+
+
+def _metres(
+    raw: RawMatrix, declaration: Declaration, outputs: tuple[Port, ...], inputs: tuple[Port, ...]
+) -> TransferMatrix:
+    assert raw.frequency is not None
+    unit = parse_unit(_agreed(raw, declaration, "unit"))
+    quantity = _agreed(raw, declaration, "quantity") or unit.quantity
+    if quantity != unit.quantity:
+        what = f"{'an' if quantity == 'acceleration' else 'a'} {quantity}"
+        raise DataError(
+            f"{raw.name}: {what} cannot have the unit '{raw.unit or declaration.unit}'; correct one of them"
+        )
+    sign = _agreed(raw, declaration, "sign")
+    factor = unit.factor * to_displacement(raw.frequency, quantity)[:, None, None]
+    finite = np.where(np.isfinite(raw.values), raw.values, np.nan)  # an infinite entry is as unmeasured as NaN
+    values = (finite.conj() if sign == "-iwt" else finite) * factor
+    deviation = None if raw.deviation is None else raw.deviation * np.abs(factor)
+    # entries that are not finite, and frequencies at which all of G is zero, are never usable
+    dark = ~np.isfinite(raw.values) | np.all(np.nan_to_num(raw.values) == 0, axis=(1, 2), keepdims=True)
+    usable = ~dark if raw.valid is None else raw.valid & ~dark
+    said = declaration.model_dump(mode="json", exclude_none=True, exclude_defaults=True, exclude={"outputs", "inputs"})
+    gain = {"gain": "arbitrary"} if declaration.arbitrary_gain else {}
+    return TransferMatrix(
+        frequency=raw.frequency,
+        values=values,
+        outputs=outputs,
+        inputs=inputs,
+        unit=unit.si,
+        valid=None if usable.all() and raw.valid is None else np.asarray(usable),
+        deviation=deviation,
+        provenance={"source": "file", "file": raw.name, "declared": said, **gain, **raw.provenance},
+    )
+
+
+def _joined(parts: Sequence[TransferMatrix]) -> TransferMatrix:
+    """One G of several that hold entries of it, on all their frequencies; DataError for an entry known to two."""
+    if len(units := {p.unit for p in parts}) > 1:
+        raise DataError(f"the files to be joined have different units ({', '.join(sorted(units))}); export all in one")
+    every = np.unique(np.concatenate([p.frequency for p in parts]))
+    frequency = every[np.concatenate([[True], np.diff(every) >= _SAME * every[1:]])]
+    shape = (len(frequency), *parts[0].values.shape[1:])
+    values, valid, owner = np.full(shape, np.nan + 0j), np.zeros(shape, bool), np.full(shape, -1)
+    deviation = np.full(shape, np.nan) if any(p.deviation is not None for p in parts) else None
+    for k, part in enumerate(parts):
+        rows = np.searchsorted(frequency, part.frequency * (1 - _SAME / 2))
+        known = np.isfinite(part.values) if part.valid is None else part.valid
+        present = known | np.isfinite(part.values)
+        here = owner[rows]
+        if (twice := present & (here >= 0)).any():
+            at, o, i = (int(a[0]) for a in np.nonzero(twice))
+            names = [str(parts[j].provenance["file"]) for j in (int(here[at, o, i]), k)]
+            raise DataError(
+                f"{names[1]}: {part.outputs[o].name} <- {part.inputs[i].name} is in {names[0]} too; keep one of them"
+            )
+        owner[rows] = np.where(present, k, here)
+        values[rows] = np.where(present, part.values, values[rows])
+        valid[rows] |= known
+        if deviation is not None and part.deviation is not None:
+            deviation[rows] = np.where(present, part.deviation, deviation[rows])
+    files = [str(p.provenance["file"]) for p in parts]
+    return replace(
+        parts[0], frequency=frequency, values=values, valid=None if valid.all() else valid, deviation=deviation,
+        provenance={**parts[0].provenance, "file": files[0], "files": files},
+    )  # fmt: skip
+
+
+# A kind of file: its endings, what may be declared of it, and how its content becomes a matrix.
 
 class Reader:
     """Reader of one kind of file.

@@ -18,8 +18,7 @@ from ..scenario.shipped import read_toml
 from ..transfer import TransferMatrix
 from .arrays import Hdf5Reader, numbers_in
 from .declaration import FOI, Declaration, Ports, RawMatrix, declared_by
-from .meaning import understand
-from .reader import Reader
+from .reader import Reader, understand
 from .reading import refuse_stand_in
 
 if TYPE_CHECKING:

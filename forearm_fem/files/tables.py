@@ -7,7 +7,7 @@ import json
 import re
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
-from ..errors import AccuracyWarning, DataError
+from ..errors import AccuracyWarning, DataError, ForearmError
 from ..ports import Port
 from ..store.folder import write_bytes
 from ..transfer import TransferMatrix
@@ -26,6 +26,7 @@ from .reading import RecognitionWarning, text_in
 
 _COLUMNS = ("frequency_Hz", "output", "input", "real", "imag", "valid", "deviation")
 _MARK = "# forearm_fem "
+_STATED = {"unit", "quantity", "spectrum", "sign"}  # keys of a declaration that a first comment may say
 _NAMES = ("output", "input")
 _PAIRS = (("real", "imag"), ("magnitude", "phase_rad"), ("magnitude", "phase_deg"))
 _COMMENT = ("#", "%", "!", "//")
@@ -80,11 +81,15 @@ def write_csv(path: str | Path, transfer: TransferMatrix) -> None:
 
 @dataclass(frozen=True)
 class Table:
-    """Cells of a table: our own first line, the names of the columns, and rows with the numbers of their lines."""
+    """Cells of a table: our own first line, the names of the columns, and rows with the numbers of their lines.
+
+    ``said`` is what a first comment of JSON, ``# {"unit": "mm/V", "sign": "+iwt"}``, says of the numbers.
+    """
 
     own: dict[str, Any]
     header: list[str]
     rows: list[tuple[int, list[str]]]
+    said: Declaration = field(default_factory=Declaration)
 
 
 class TableReader(Reader):
@@ -123,7 +128,8 @@ class TableReader(Reader):
             if len(np.unique(np.ravel_multi_index(place, shape))) != len(table.rows):
                 what = "frequency" if single else "frequency, output and input"
                 raise DataError(f"{file}: some {what} occurs on two lines; keep one of them")
-            raw = _raw(file, table.own, frequency, columns, place, shape)
+            stated = table.own or table.said.model_dump(exclude_none=True, include=_STATED)
+            raw = _raw(file, stated, frequency, columns, place, shape)
             return raw if table.own or single else replace(raw, names=(tuple(names[0]), tuple(names[1])))
         except (KeyError, TypeError, ValueError, AttributeError) as problem:
             raise DataError(
@@ -156,7 +162,21 @@ def read_table(file: Path) -> Table:
         return Table(own, [c.strip() for c in header], body)
     body = [(number, [c.strip() for c in row]) for number, row in body]
     header, body = _trimmed([c.strip() for c in header], body)
-    return Table({}, _known_names(file, header), _points_for_commas(file, header, body, separator))
+    said = _stated(file, lines[0] if start else "")
+    return Table({}, _known_names(file, header), _points_for_commas(file, header, body, separator), said)
+
+
+def _stated(file: Path, line: str) -> Declaration:
+    """Declaration in a first ``line`` of JSON behind a comment's sign; an empty one where there is none."""
+    text = line.lstrip("".join(_COMMENT)).strip()
+    if not text.startswith("{"):
+        return Declaration()
+    try:
+        found = json.loads(text)
+        return Declaration(**{k: v for k, v in found.items() if k in _STATED})
+    except (ValueError, ForearmError) as problem:
+        why = f"states what is no declaration; correct it or take it out ({problem})"
+        raise DataError(f"{file}, line 1: {why}") from None
 
 
 def _passed_over(line: str) -> bool:

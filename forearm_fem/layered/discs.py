@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal
@@ -182,14 +182,22 @@ class Galerkin:
         """Pairs of rings and balls, and by how much a ring's force or moment is larger: J_1(x) is x/2, j_1(x) x/3."""
         return (self.rings, 1.0), (self.moments, 1.5)
 
-    def compliance(self, integrals: ComplexArray, kinds: Sequence[BoolArray]) -> tuple[ComplexArray, FloatArray]:
-        """Ports' displacement per force (n_freq, ports, ports) [m/N], and its truncation error by the series (n_freq,).
+    def compliance(
+        self, integrals: ComplexArray, kinds: Sequence[BoolArray], judged: BoolArray
+    ) -> tuple[ComplexArray, FloatArray]:
+        """Ports' displacement per force (n_freq, ports, ports) [m/N], and its truncation error by the series (n_freq,)
+        where ``judged`` (n_freq,).
 
         That is of the worst of the ``kinds`` of entries (ports, ports), over their largest; NaN, unknown, where there
-        are neighbours and no azimuthal orders for them."""
-        a = self.matrix(integrals)
-        by_order = self.by_order(a)[1]
-        return by_order[-1], self.lacking(a, by_order, kinds)
+        are neighbours and no azimuthal orders for them. To judge takes four times as long as the answer itself."""
+        a, n = self.matrix(integrals), self.ports
+        out, lacking = np.empty((len(a), n, n), dtype=complex), np.zeros(len(a))
+        if judged.any():
+            by_order = self.by_order(a[judged])[1]
+            out[judged], lacking[judged] = by_order[-1], self.lacking(a[judged], by_order, kinds)
+        if not judged.all():
+            out[~judged] = self._alone(_without_last(a[~judged], n))
+        return out, lacking
 
     def by_order(self, a: ComplexArray) -> tuple[ComplexArray, list[ComplexArray]]:
         """From A what ports, then grips and tilts, show (n_freq, m, m), m = ports + 2 r + 2 t, discs let go; and C of
@@ -296,8 +304,14 @@ def changed(more: ComplexArray, less: ComplexArray, kinds: Sequence[BoolArray]) 
     return np.asarray(np.max(each, axis=0))
 
 
-def galerkin(discs: Sequence[Disc], surface: Surface, terms: int, orders: int) -> Galerkin:
-    """The system of ``discs`` (points among them), no two the same, points under rigid discs left out."""
+def galerkin(
+    discs: Sequence[Disc], surface: Surface, terms: int, orders: int, *, silent: Collection[int] = ()
+) -> Galerkin:
+    """The system of ``discs`` (points among them), no two the same, points under rigid discs left out.
+
+    Nothing between two of the ``silent`` ones is in it, points and pressed discs that do not drive: two points that
+    nearly meet ask for the shortest waves of all.
+    """
     tractions, owner = [port_traction(disc) for disc in discs], list(range(len(discs)))
     for i, disc in enumerate(discs):
         inner = inner_tractions(disc, surface, terms, orders) if disc.rigid else []
@@ -308,13 +322,14 @@ def galerkin(discs: Sequence[Disc], surface: Surface, terms: int, orders: int) -
                 if t.m == 0 and t.radial.degree == 0 and t.radial.kind not in ("ring", "point")}  # fmt: skip
     rings = [(i, carrying[owner[i], t.component]) for i, t in enumerate(tractions)
              if t.radial.kind == "ring" and t.m == 0]  # fmt: skip
-    grips = [[carrying[i, sign] for sign in ("+", "-")] for i in range(len(discs)) if (i, "+") in carrying]
+    grips = [[carrying[i, sign] for sign in ("+", "-")] for i, disc in enumerate(discs)
+             if disc.rigid and (i, "+") in carrying]  # fmt: skip
     tilting = {(owner[i], t.m): i for i, t in enumerate(tractions)
                if t.component == "z" and abs(t.m) == 1 and t.radial == Radial("ball", t.radial.radius, 1)}  # fmt: skip
     tilts = [[tilting[i, m] for m in (1, -1)] for i in range(len(discs)) if (i, 1) in tilting]
     moments = [(i, tilting[owner[i], t.m]) for i, t in enumerate(tractions)
                if t.radial.kind == "ring" and t.component == "z" and abs(t.m) == 1]  # fmt: skip
-    table, place, column, factor = _pairs(tractions, where)
+    table, place, column, factor = _pairs(tractions, where, np.isin(np.arange(len(tractions)), [*silent]))
     last, order = np.array([(t.last, t.order) for t in tractions], dtype=int).T
     points = np.flatnonzero([disc.radius == 0 for disc in discs])
     radii = np.array([discs[owner[i]].radius for i, _ in tilts])
@@ -322,7 +337,9 @@ def galerkin(discs: Sequence[Disc], surface: Surface, terms: int, orders: int) -
     return Galerkin(table, place, column, factor, len(discs), points, terms, last, order, radii, *pairs)
 
 
-def _pairs(tractions: Sequence[Traction], where: FloatArray) -> tuple[HankelTable, IntArray, IntArray, ComplexArray]:
+def _pairs(
+    tractions: Sequence[Traction], where: FloatArray, silent: BoolArray
+) -> tuple[HankelTable, IntArray, IntArray, ComplexArray]:
     """Table, and place, column and factor of each pair i <= j with a non-zero entry."""
     radials = tuple(sorted({t.radial for t in tractions}))
     number = {g: i for i, g in enumerate(radials)}
@@ -335,8 +352,8 @@ def _pairs(tractions: Sequence[Traction], where: FloatArray) -> tuple[HankelTabl
     distance, angle = np.hypot(*across.T).round(12), np.arctan2(across[:, 1], across[:, 0])
     q = -(m[i] + m[j] + np.real(shifts[c[i], c[j]]).astype(int))
     points = np.array([r.kind == "point" for r in radials])
-    singular = (distance == 0) & points[g[i]] & points[g[j]]
-    kept = ((distance > 0) | (q == 0)) & ~singular
+    left_out = (points[g[i]] & points[g[j]] & (distance == 0)) | (silent[i] & silent[j])
+    kept = ((distance > 0) | (q == 0)) & ~left_out
     i, j, q, distance, angle = i[kept], j[kept], q[kept], distance[kept], angle[kept]
     phase = (-1j) ** (np.abs(m[i]) + np.abs(m[j])) * (-1.0) ** m[i] * 1j ** np.abs(q) * np.exp(-1j * q * angle)
     kernel = np.real(number_of[c[i], c[j]]).astype(int)

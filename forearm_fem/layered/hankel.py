@@ -150,8 +150,8 @@ class HankelTable:
 
     @cached_property
     def parts(self) -> list[slice]:
-        """Columns of each kernel, from the first to the last used."""
-        edges = np.searchsorted(self.kernel, np.arange(self.kernel[-1] + 2))
+        """Columns of each kernel: of the first, or of all four."""
+        edges = np.searchsorted(self.kernel, np.arange(5 if self.kernel[-1] > 0 else 2))
         return [slice(int(lo), int(hi)) for lo, hi in itertools.pairwise(edges)]
 
     @cached_property
@@ -247,8 +247,8 @@ class HankelTable:
             f, g = self.radials[a], self.radials[b]
             if {f.kind, g.kind} <= {"mean", "point"} and q == 0:
                 out[i] = disc_interaction(d, f.radius, g.radius)
-            elif {f.kind, g.kind} == {"bell"} and q == 0:
-                out[i] = _between_bells(f.radius, g.radius, d)
+            elif {f.kind, g.kind} == {"bell"}:
+                out[i] = _between_bells(f.radius, g.radius, d, q)
             elif "ring" in (f.kind, g.kind):
                 continue
             elif d == 0:
@@ -284,10 +284,10 @@ def _between_lines(y: FloatArray, z: FloatArray, q: int, d: float) -> ComplexArr
     return np.asarray(np.exp(1j * q * np.arcsin(offset / d)) / np.sqrt(d * d - offset**2) / (2 * math.pi))
 
 
-def _between_bells(a: float, b: float, d: float) -> float:
-    r""":math:`\frac1{2\pi}\int_0^\infty e^{-k^2(a^2+b^2)/2}J_0(kd)\,dk`, by scaled Bessel functions."""
+def _between_bells(a: float, b: float, d: float, q: int) -> float:
+    r""":math:`\frac1{2\pi}\int_0^\infty e^{-k^2(a^2+b^2)/2}J_q(kd)\,dk`, by scaled Bessel functions."""
     both = a * a + b * b
-    return float(special.ive(0, d * d / (4 * both)) * math.sqrt(math.pi / (2 * both)) / (2 * math.pi))
+    return float(special.ive(q / 2, d * d / (4 * both)) * math.sqrt(math.pi / (2 * both)) / (2 * math.pi))
 
 
 def _same_disc(a: int, b: int) -> float:

@@ -268,7 +268,9 @@ class Integrals:
         lost = np.abs(self._remainders(medium, ends, omega))
         tails = np.max(lost, axis=0) * self.table.envelope(ends)  # of what the window loses at each end
         active: list[Panel] = [(0.0, first), *octaves(first, core)]
-        total = self._each(lambda i, part: medium.limits(omega)[i][:, None] * self.static[part])
+        limits = medium.limits(omega)  # none where the skin is tense
+        static = self.static if np.any(limits) else np.zeros(self.table.a.size)
+        total = self._each(lambda i, part: limits[i][:, None] * static[part])
         end, error, n_kernel, level = math.inf, np.zeros(omega.size), omega.size * ends.size, 0
         while active:
             k = rules.nodes(active)

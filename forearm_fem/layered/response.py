@@ -143,6 +143,7 @@ def layered_compliance(
     tolerance: float = 1e-6,
     terms: int | None = None,
     orders: int | None = None,
+    judged: int = 1,
     progress: Progress | None = None,
 ) -> LayeredResult:
     r"""Normal displacement of each output disc per normal force on each input disc.
@@ -164,6 +165,7 @@ def layered_compliance(
     tolerance : error of the integrals relative to the largest |value| at each frequency.
     terms, orders : of the tractions under rigid discs; None: as waves, layers and distances ask for. What they
         leave out is ``truncation`` of the result; NaN with ``orders`` = 0 where a disc is not alone.
+    judged : every so many of the frequencies computed truncation is found; between two of them the larger is stated.
     progress : counts frequencies against those expected.
 
     Not covered: tilt and sideways motion of rigid discs, tangential loads, anisotropy, omega = 0. With
@@ -180,19 +182,21 @@ def layered_compliance(
         raise ValueError("expected Im(modulus) >= 0 (convention e^{+i omega t}), got a layer that feeds energy in")
     discs, rows, columns, seen, driven = _components(discs_in, discs_out)
     terms = terms_of(discs, medium, omega) if terms is None else terms
-    system = galerkin(discs, medium.surface, terms, scattered_orders(discs) if orders is None else orders)
+    orders = scattered_orders(discs) if orders is None else orders
+    silent = [i for i, disc in enumerate(discs) if not disc.rigid and i not in columns]
+    system = galerkin(discs, medium.surface, terms, orders, silent=silent)
     expected = min(omega.size, MOST + 1)
     asked = np.zeros((system.ports, system.ports), dtype=bool)
     asked[np.ix_(rows, columns)] = True
     kinds = tuple(kind for each in system.kinds() if (kind := each & (asked | asked.T)).any()) or (asked | asked.T,)
-    evaluate = _Evaluation(Integrals(medium, system.table, tolerance), system, kinds, expected, progress)
+    integrals = Integrals(medium, system.table, tolerance)
+    evaluate = _Evaluation(integrals, system, kinds, (rows, columns), judged, expected, progress)
     sharp = bool(np.any(medium.loss(omega) < LOW_LOSS))  # poles near the axis: nothing smooth to follow
     found = (*evaluate(omega), np.zeros(omega.size)) if sharp else sampled(evaluate, omega, tolerance)
-    out, errors, interpolation = found
+    values, errors, interpolation = found
     quadrature, truncation = errors.T
     if np.any(quadrature > tolerance):
         warnings.warn(f"layered: error {quadrature.max():.1e} > tolerance {tolerance:.1e}", AccuracyWarning, 2)
-    values = out[:, rows][:, :, columns]
     if seen is not None and driven is not None:
         values = seen @ values @ driven.T
     rigid = [disc for disc in discs if disc.rigid]
@@ -205,27 +209,37 @@ def layered_compliance(
 
 @dataclass
 class _Evaluation:
-    """Values (n, n_disc, n_disc) and errors (n, 2), quadrature and truncation, the latter of the worst of
-    the ``kinds`` of entries asked for; counts its work against the ``expected`` number of frequencies."""
+    """Values (n, n_row, n_column) of the rows and columns ``asked`` for and errors (n, 2), quadrature and truncation.
+
+    The latter is of the worst of the ``kinds`` of entries, found at ``every`` so many frequencies. Counts its work
+    against the ``expected`` number of them."""
 
     integrals: Integrals
     system: Galerkin
     kinds: tuple[BoolArray, ...]
+    asked: tuple[IntArray, IntArray]
+    every: int
     expected: int
     progress: Progress | None
     n_kernel: int = 0
     n_frequency: int = 0
 
     def __call__(self, omega: FloatArray) -> tuple[ComplexArray, FloatArray]:
-        n = self.system.ports
-        values, errors = np.empty((omega.size, n, n), dtype=complex), np.empty((omega.size, 2))
+        rows, columns = self.asked
+        values, errors = np.empty((omega.size, rows.size, columns.size), dtype=complex), np.empty((omega.size, 2))
+        rising = np.argsort(omega, kind="stable")
+        known = np.unique([*range(0, omega.size, self.every), omega.size - 1])
+        judged = np.isin(np.arange(omega.size), rising[known])
         for chunk in self.integrals.chunks(omega):
             block = self.integrals.solve(omega[chunk])
-            values[chunk], errors[chunk, 1] = self.system.compliance(block.values, self.kinds)
-            errors[chunk, 0] = block.error
+            found, errors[chunk, 1] = self.system.compliance(block.values, self.kinds, judged[chunk])
+            values[chunk], errors[chunk, 0] = found[:, rows][:, :, columns], block.error
             self.n_kernel += block.n_kernel
             self.n_frequency += chunk.size
             tell(self.progress, "layered half-space", min(self.n_frequency, self.expected), self.expected)
+        above = np.searchsorted(known, np.arange(omega.size))  # the judged one at or above each
+        both = errors[rising[known[above]], 1], errors[rising[known[np.maximum(above - 1, 0)]], 1]
+        errors[rising, 1] = np.where(judged[rising], both[0], np.maximum(*both))
         return values, errors
 
 

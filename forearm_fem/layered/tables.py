@@ -315,22 +315,22 @@ class _Builder:
             kinds = _part(kinds, np.flatnonzero(~(point[kinds.a] & point[kinds.b])))
         index = {named(kinds, _column(kinds, i)): i for i in range(kinds.a.size)}
         values = []
-        distance, more = edge + root**2, _lacking(one, kinds)
+        distance = edge + root**2
         for start in range(0, len(root), _AT_ONCE):
             some = distance[start : start + _AT_ONCE]
-            values.append(self._at(kinds, some, more))
+            values.append(self._at(kinds, some))
             tell(len(some))
         return index, make_interp_spline(root, np.concatenate(values), k=DEGREE)
 
-    def _at(self, kinds: HankelTable, distance: FloatArray, more: HankelTable) -> ComplexArray:
-        """(n_distance, n_node, n_kind); the columns ``more`` are computed besides and left out."""
+    def _at(self, kinds: HankelTable, distance: FloatArray) -> ComplexArray:
+        """(n_distance, n_node, n_kind)."""
         m, n = len(distance), kinds.a.size
-        columns = [np.concatenate([np.tile(x, m), y]) for x, y in zip(_columns(kinds), _columns(more), strict=True)]
-        columns[-1][: m * n] = np.repeat(distance, n)
-        order = np.argsort(columns[0], kind="stable")
+        order = np.argsort(np.tile(kinds.kernel, m), kind="stable")
         values = np.empty((self.omega.size, order.size), dtype=complex)
-        values[:, order] = self.solved(HankelTable(kinds.radials, *(c[order] for c in columns)))
-        return values[:, : m * n].reshape(self.omega.size, m, n).swapaxes(0, 1)
+        kernel, a, b, q = (np.tile(x, m)[order] for x in (kinds.kernel, kinds.a, kinds.b, kinds.order))
+        table = HankelTable(kinds.radials, kernel, a, b, q, np.repeat(distance, n)[order])
+        values[:, order] = self.solved(table)
+        return values.reshape(self.omega.size, m, n).swapaxes(0, 1)
 
 
 def _columns(table: HankelTable) -> tuple[IntArray, IntArray, IntArray, IntArray, FloatArray]:
@@ -340,13 +340,6 @@ def _columns(table: HankelTable) -> tuple[IntArray, IntArray, IntArray, IntArray
 def _part(table: HankelTable, kept: IntArray) -> HankelTable:
     kernel, a, b, order, distance = _columns(table)
     return HankelTable(table.radials, kernel[kept], a[kept], b[kept], order[kept], distance[kept])
-
-
-def _lacking(table: HankelTable, kinds: HankelTable) -> HankelTable:
-    """A column of ``table`` for each kernel that ``kinds`` lack beside others than the first: the quadrature takes the
-    first alone, or all four."""
-    wanted = sorted(set(table.kernel.tolist()) - set(kinds.kernel.tolist())) if kinds.kernel.max() > 0 else []
-    return _part(table, np.array([int(np.flatnonzero(table.kernel == k)[0]) for k in wanted], dtype=int))
 
 
 def _column(table: HankelTable, i: int) -> Column:

@@ -61,8 +61,8 @@ def _run_of_lines(value: ComplexArray) -> FloatArray:
 _OUTERMOST = np.array([1.0, -4, 6, -4, 1])  # the first of five bins less the cubic through the other four
 
 
-def ramp(response: FloatArray) -> float:
-    """By how much [V] the offset of ``response`` (n_repeat, n) rises in a period; 0 for a single one."""
+def offset_rise(response: FloatArray) -> float:
+    """Rise [V] of the offset of ``response`` (n_repeat, n) in a period; 0 for a single one."""
     means = response.mean(axis=1)
     return float(means[-1] - means[0]) / (len(means) - 1) if len(means) > 1 else 0.0
 
@@ -137,7 +137,7 @@ def off_alike(r: Recording, drive: FloatArray, band: BoolArray) -> FloatArray:
     kept back to the beginning, of which one was thrown away. 0 outside ``band`` (n_bins,).
     """
     value, x = response_over(drive, r.response, band), rfft(drive.mean(axis=0))
-    drifted = np.divide(ramp_spectrum(ramp(r.response), r.n), np.abs(x), out=np.zeros(len(x)), where=band)
+    drifted = np.divide(ramp_spectrum(offset_rise(r.response), r.n), np.abs(x), out=np.zeros(len(x)), where=band)
     late = abs(delay_growth(r, band)) * ((len(r.response) + 1) / 2 + 1)
     turned = np.abs(value) * 2 * np.pi * rfftfreq(r.n, 1 / r.sample_rate) * late
     return np.asarray(np.sqrt(_beside_lines(rfft(r.response), x, band) ** 2 + drifted**2 + turned**2))

@@ -14,7 +14,6 @@ from ..ports import Port
 from ..scenario.measurement import MeasurementOptions
 from ..store.text import digest_of
 from .daq import Daq, OpenDevice, Wiring
-from .diagnostics import Finding
 from .entry import Entry, Measured, assemble, entry
 from .estimators import ExponentialSweep
 from .recording import Folder, Recording
@@ -126,24 +125,6 @@ def calibrate(
         if after is not None:
             after(Step(tuple(entries), len(plan.entries), kept is not None))
     return assembled(plan, entries, daq.name)
-
-
-def collected(plan: Plan, folder: str | Path) -> Measured:
-    """G of what ``folder`` holds now, without a device; damaged recordings are findings, missing entries are listed."""
-    store = _store(plan, folder)
-    entries, damaged = [], []
-    for o, i in plan.entries:
-        try:
-            recording = store.get(plan.outputs[o].name, plan.inputs[i].name)
-        except DataError as problem:
-            damaged.append(Finding("damaged", str(problem)))
-            continue
-        if recording is not None:
-            entries.append(_entry(plan, recording))
-    if not entries and damaged:
-        raise DataError(damaged[0].sentence)
-    measured = assembled(plan, entries, "recordings")
-    return Measured(measured.transfer, measured.coherence, measured.missing, (*measured.findings, *damaged))
 
 
 def _store(plan: Plan, folder: str | Path) -> Folder:

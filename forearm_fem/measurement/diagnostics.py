@@ -11,7 +11,7 @@ from scipy.fft import irfft, rfft, rfftfreq
 from scipy.stats import f as fisher
 
 from ..typing import BoolArray, FloatArray
-from .alike import copied, delay_growth, lines, ramp, ramp_spectrum, response_over
+from .alike import copied, delay_growth, lines, offset_rise, ramp_spectrum, response_over
 from .recording import Recording
 
 Severity = Literal["error", "warning"]
@@ -211,7 +211,7 @@ def _in_common(r: Recording, band: BoolArray) -> Iterator[Finding]:
             "average out",
             "warning",
         )
-    rise = ramp(r.response)
+    rise = offset_rise(r.response)
     share = ramp_spectrum(rise, r.n)[band] / np.maximum(np.abs(rfft(_drive(r).mean(axis=0))[band]), _ROUNDING)
     share = np.divide(share, np.abs(value[band]), out=np.zeros(len(share)), where=value[band] != 0)
     if share.size and share.max() > _SEEN:
@@ -252,7 +252,7 @@ def _silent(r: Recording, band: BoolArray) -> Iterator[Finding]:
 
 def following(r: Recording, band: BoolArray) -> float:
     """|mean Y|^2 over the variance of the mean, summed over the band [-]; with one period, over the bins above it."""
-    y = rfft(r.response - ramp(r.response) * np.arange(r.n) / r.n)
+    y = rfft(r.response - offset_rise(r.response) * np.arange(r.n) / r.n)
     band = band & (lines(response_over(_drive(r), r.response, band), band) == 0)
     if len(y) > 1:
         rest = np.sum(np.abs(y[:, band] - y[:, band].mean(axis=0)) ** 2) / (len(y) - 1) / len(y)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from ..errors import DataError, HardwareError
-from ..rendering.spectrum import Record, on_record_bins
+from ..rendering.signals import Record, on_record_bins
 from ..scenario.measurement import Quantity, RigOptions
 from ..transfer import TransferMatrix
 from ..typing import FloatArray

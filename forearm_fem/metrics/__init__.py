@@ -1,6 +1,6 @@
 """Numbers that judge a rendering or a transfer matrix; nothing here knows how either was made."""
 
-from ..accuracy.estimates import StrengthInterval, perturbed, signal_strength_uncertainty, smooth_noise
+from ..accuracy.estimates import perturbed, smooth_noise
 from ..transfer import relative_error_at
 from .matrix import ConditionSummary, condition_number, condition_summary, singular_values
 from .strength import StrengthTable, area, signal_strength, signal_strength_table, thesis_table
@@ -8,7 +8,6 @@ from .waves import WaveFit, fit_waves
 
 __all__ = [
     "ConditionSummary",
-    "StrengthInterval",
     "StrengthTable",
     "WaveFit",
     "area",
@@ -19,7 +18,6 @@ __all__ = [
     "relative_error_at",
     "signal_strength",
     "signal_strength_table",
-    "signal_strength_uncertainty",
     "singular_values",
     "smooth_noise",
     "thesis_table",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 __all__ = ["CalibrationResult", "VirtualSetup", "hardware", "run_calibration", "run_loopback", "run_play", "wired"]
 
 DaqKind = Literal["virtual", "ni", "sound"]
+_PAUSE = 3.0  # s between two drawings of live.png: a virtual device measures faster than it is drawn
 _APART = 1e-3  # [m] between places of one name from which they are two
 _MOST_SNR = 300  # dB: double precision holds no more
 
@@ -125,9 +127,9 @@ def run_calibration(
     """Calibrate ``scenario``'s device into ``folder``; running it again resumes.
 
     ``virtual`` is needed for daq = "virtual"; ``card`` names a sound card, and ``cable`` is the loopback whose latency
-    and gain are taken off G: a sound card needs it, or a loopback channel. After each entry ``folder/live.png`` is
-    redrawn (unless ``figure`` is False); at the end ``folder/transfer.nc`` holds G. Raises ScenarioError, DataError or
-    HardwareError in one sentence.
+    and gain are taken off G: a sound card needs it, or a loopback channel. ``folder/live.png`` follows, redrawn
+    every few seconds (unless ``figure`` is False); at the end ``folder/transfer.nc`` holds G. Raises ScenarioError,
+    DataError or HardwareError in one sentence.
     """
     plan = calibration_plan(scenario, virtual if daq == "virtual" else None, kind=daq)
     if virtual is not None and daq == "virtual":
@@ -138,13 +140,18 @@ def run_calibration(
     refuse_other_g(target / "transfer.nc", measured=True)
     check_kind(target, "calibration")
 
+    drawn = -_PAUSE
+
     def after(step: Step) -> None:
         """Draw what is known by now, and tell how far it is."""
-        if figure and not step.reused:
+        nonlocal drawn
+        due = len(step.entries) == step.total or time.monotonic() - drawn >= _PAUSE
+        if figure and due and not step.reused:
             from ..show.calibration import save_live
 
             now = assembled(plan, step.entries, device.name)
             save_live(target / "live.png", now.transfer, now.coherence)
+            drawn = time.monotonic()
         tell(progress, "measurements (saved one by one)", len(step.entries), step.total)
 
     measured = calibrate(plan, device, target, operator=operator, after=after, stop=stop)

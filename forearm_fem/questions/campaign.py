@@ -22,6 +22,7 @@ from pydantic import Field, ValidationError
 from .. import __version__
 from ..accuracy.estimates import short_verdict
 from ..errors import ForearmError, ScenarioError, first_problem
+from ..laws import KelvinVoigt
 from ..progress import Progress, tell
 from ..results.run import read_run
 from ..scenario import Scenario, load_scenario, scenario_beside
@@ -34,7 +35,7 @@ from ..show.page import Block, Page, Section
 from ..store.folder import check_kind, locked, set_kind, write_text
 from ..store.shelf import WORK, Shelf
 from ..store.work import LIGHT, LOST, SHARE, done_once, spread
-from ..tissue import PRESETS, KelvinVoigt, Sourced, resolve_tissues
+from ..tissue import PRESETS, Sourced, resolve_tissues
 
 __all__ = ["Campaign", "CampaignResult", "Member", "MemberResult", "load_campaign", "run_campaign"]
 

@@ -15,10 +15,9 @@ from .. import __version__
 from ..accuracy.estimates import accuracy_verdict
 from ..device import contact_state
 from ..device.response import carries_points
-from ..engines.engine import Engine
 from ..engines.forecast import Ledger, refuse_if_signals_too_large
 from ..engines.notes import check_samples, scene_notes
-from ..engines.simulation import Simulation, simulate, versions
+from ..engines.simulation import Engine, Simulation, simulate, versions
 from ..engines.skin_model import save_skin_model
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..fem.reduction.compile_ahead import start_compiling
@@ -32,11 +31,12 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import positions
 from ..progress import Progress, tell, within
 from ..rendering import Rendering
+from ..rendering.drives import counted_points
+from ..rendering.funneling import is_thesis_grid
 from ..rendering.interval import Strength, finer_than_known
 from ..rendering.job import RenderJob, check_servable, wavelet
-from ..rendering.lattice import is_thesis_grid
-from ..rendering.limits import counted_points
 from ..results.files import (
+    Wavefield,
     read_transfer,
     refuse_other_g,
     stack,
@@ -59,7 +59,6 @@ from ..results.run import (
     read_run,
     write_run,
 )
-from ..results.wavefield import Wavefield
 from ..scenario import Scenario
 from ..scenario.rendering import SampledWavelet
 from ..scenario.sweep import Band
@@ -304,7 +303,7 @@ def _rendered(
         job = RenderJob.of(run.scenario, transfer, base=run.base, progress=run.progress)
         job.warn()
         rendering = job.play(transfer, progress=run.progress)
-        account = job.account(transfer, rendering)
+        account = rendering.strength
         keep(run, transfer)
         run.rendering, run.account = rendering, account
         time = next(iter(rendering.values())).drives.time

@@ -8,16 +8,38 @@
     everything = render_all(transfer)
 """
 
-from .bridging import Bridged, Interpolation, bridged
-from .drives import Aim, Displacements, Drives, Renderer, displacements, drives, scale_to, scaled
+from .bridging import Bridged, bridged
+from .drives import (
+    Aim,
+    Displacements,
+    DriveReport,
+    Drives,
+    Limits,
+    Renderer,
+    beyond_limits,
+    check,
+    displacements,
+    drives,
+)
 from .funneling import Funneling, funneling_weights
-from .inverse_filter import Combination, InverseFilter
-from .inversion import Inversion, Regularisation, invert
-from .limits import DriveReport, Limits, beyond_limits, check
+from .inverse_filter import AutoZeros, Combination, FixedZeros, InverseFilter, SearchedZeros, ThesisZeros
+from .inversion import Inversion, Regularisation
 from .rendered import Rendered, Rendering, render_all, strengths, thesis_renderers
-from .spectrum import BinnedTransfer, BinValues, Record, on_record_bins, place_on_bins, respond, to_spectrum, to_time
-from .wavelet import Wavelet, Window, from_samples_file, ricker, window_of
-from .zeros import AutoZeros, FixedZeros, SearchedZeros, ThesisZeros, ZeroSearch, best_zeros
+from .signals import (
+    BinnedTransfer,
+    BinValues,
+    Record,
+    Wavelet,
+    Window,
+    from_samples_file,
+    on_record_bins,
+    place_on_bins,
+    respond,
+    ricker,
+    to_spectrum,
+    to_time,
+    window_of,
+)
 
 __all__ = [
     "Aim",
@@ -31,7 +53,6 @@ __all__ = [
     "Drives",
     "FixedZeros",
     "Funneling",
-    "Interpolation",
     "InverseFilter",
     "Inversion",
     "Limits",
@@ -44,8 +65,6 @@ __all__ = [
     "ThesisZeros",
     "Wavelet",
     "Window",
-    "ZeroSearch",
-    "best_zeros",
     "beyond_limits",
     "bridged",
     "check",
@@ -53,14 +72,11 @@ __all__ = [
     "drives",
     "from_samples_file",
     "funneling_weights",
-    "invert",
     "on_record_bins",
     "place_on_bins",
     "render_all",
     "respond",
     "ricker",
-    "scale_to",
-    "scaled",
     "strengths",
     "thesis_renderers",
     "to_spectrum",

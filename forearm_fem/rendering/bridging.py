@@ -20,20 +20,8 @@ _ON_BIN = 1e-3  # of the bin spacing: further off, a sample is not on its bin
 _PRINTED, _FARTHEST = 6, 0.05  # digits that programs print of a frequency; of the bin spacing, what these may be off
 _EVEN = 0.01  # of the spacing: how far it may differ from bin to bin
 _NOISE, _ALIKE = 0.1, 2.5  # of the values' size, noise; how much larger misses at twice the spacing are, at most
+_GAP, _TOLERANCE = 3.0, 0.01  # times both neighbours, an interval that is a gap; e(f) of a spline, at most
 _SHORTEST = 8  # samples: fewer leave no way to judge a spline
-
-
-@dataclass(frozen=True)
-class Interpolation:
-    """Conditions on which bins between samples may be filled.
-
-    An interval ``gap`` times wider than both its neighbours is a gap: nothing is filled there. ``tolerance`` bounds the
-    estimated error of the spline, max |dG| / max |G| at one frequency. ``enabled`` False copies exact bins only.
-    """
-
-    gap: float = 3.0
-    tolerance: float = 0.01
-    enabled: bool = True
 
 
 def filled_in(
@@ -42,12 +30,12 @@ def filled_in(
     valid: BoolArray,
     index: IntArray,
     df: float,
-    options: Interpolation,
 ) -> tuple[ComplexArray, BoolArray]:
     """Values and mask (n_index, m) on bins ``index`` from samples (n, m) at ``place`` [bins], ``df`` [Hz] apart.
 
-    Samples on a bin are copied; the others serve a cubic spline per unbroken run of valid samples. Raises
-    DataError where the spline's estimated error exceeds the tolerance.
+    Samples on a bin are copied; the others serve a cubic spline per unbroken run of valid samples. An interval 3 times
+    wider than both its neighbours is a gap: nothing is filled there. Raises DataError where the spline's estimated
+    error, max |dG| / max |G| at one frequency, exceeds 1 %.
     """
     shape = (len(index), values.shape[1])
     out, on = np.zeros(shape, dtype=complex), np.zeros(shape, dtype=bool)
@@ -56,12 +44,12 @@ def filled_in(
     rows = np.nonzero((np.abs(place - nearest) < slack) & np.isin(nearest, index))[0]
     copied = nearest[rows] - index[0]
     open_bins = np.delete(index, copied)
-    if options.enabled and len(open_bins):
-        for columns, run in _runs(place, valid, options.gap):
+    if len(open_bins):
+        for columns, run in _runs(place, valid):
             inside = open_bins[(open_bins > place[run[0]]) & (open_bins < place[run[-1]])]
             if len(inside):
                 known, target = values[np.ix_(run, columns)], np.ix_(inside - index[0], columns)
-                _judge(place[run], known, inside, df, options.tolerance)
+                _judge(place[run], known, inside, df)
                 out[target], on[target] = CubicSpline(place[run], known)(inside), True
     out[copied], on[copied] = values[rows], valid[rows]
     return out, on
@@ -73,11 +61,11 @@ def _slack(frequency: FloatArray) -> FloatArray:
     return np.asarray(0.51 * digit)
 
 
-def _runs(place: FloatArray, valid: BoolArray, gap: float) -> list[tuple[IntArray, IntArray]]:
+def _runs(place: FloatArray, valid: BoolArray) -> list[tuple[IntArray, IntArray]]:
     """Entries (columns) with the same mask, with each of their runs of valid samples that is long enough."""
     step = np.diff(place)
     padded = np.concatenate([[0.0], step, [0.0]])
-    wide = step > gap * np.maximum(padded[:-2], padded[2:])
+    wide = step > _GAP * np.maximum(padded[:-2], padded[2:])
     patterns, group = np.unique(valid, axis=1, return_inverse=True)
     runs: list[tuple[IntArray, IntArray]] = []
     for g, pattern in enumerate(patterns.T):
@@ -88,7 +76,7 @@ def _runs(place: FloatArray, valid: BoolArray, gap: float) -> list[tuple[IntArra
     return runs
 
 
-def _judge(place: FloatArray, values: ComplexArray, bins: IntArray, df: float, tolerance: float) -> None:
+def _judge(place: FloatArray, values: ComplexArray, bins: IntArray, df: float) -> None:
     """Raise if a spline through every other sample misses the rest by more than 8 times the tolerance.
 
     Halving the spacing of a cubic spline divides its error by up to 16; we count on 8. Only samples next
@@ -103,15 +91,15 @@ def _judge(place: FloatArray, values: ComplexArray, bins: IntArray, df: float, t
     size = np.maximum(np.abs(values[odd]).max(axis=1), np.finfo(float).tiny)
     error = np.abs(miss).max(axis=1) / size / 8
     worst = int(np.argmax(error))
-    if error[worst] > tolerance and not _noisy(place, values, odd, miss):
+    if error[worst] > _TOLERANCE and not _noisy(place, values, odd, miss):
         at = odd[worst]
         step = float(np.median(np.diff(place))) * df
         even = bool(np.abs(np.diff(place) * df / step - 1).max() < _EVEN)
         record = f"a record whose bins lie on them, sweep.duration = {1 / step:.6g}," if even else "even frequencies"
         raise DataError(
             f"samples of G near {place[at] * df:.4g} Hz are {(place[at + 1] - place[at]) * df:.3g} Hz apart: "
-            f"interpolating them would err by about {error[worst]:.1%}, allowed {tolerance:.1%}; give {record} or G on "
-            "more frequencies (time.length of a recipe)"
+            f"interpolating them would err by about {error[worst]:.1%}, allowed {_TOLERANCE:.1%}; give {record} or G "
+            "on more frequencies (time.length of a recipe)"
         )
 
 
@@ -145,7 +133,7 @@ _NEIGHBOURS, _ORDER = 12, 3  # of the local polynomial, which noise does not mis
 
 @dataclass(frozen=True, eq=False)
 class Bridged:
-    """``transfer`` with its safe holes filled, and ``guess`` with the others filled as well, None if there are none.
+    """G with its safe holes filled (``transfer``), and with all of them (``guess``, None if none is left).
 
     ``error`` is e(f) of what was filled (None without any); ``filled`` and ``left`` count (bin, entry) pairs; ``bins``
     are those with any hole. ``ends`` counts the pairs before the first or after the last known bin of their entry, and

@@ -18,11 +18,9 @@ from ..transfer import ErrorEstimate, TransferMatrix, between, error_of_pairs, r
 from ..typing import BoolArray, FloatArray
 from .bridging import with_wider_ends
 from .drives import Renderer
-from .inverse_filter import precomputed_for_targets
+from .inverse_filter import FixedZeros, SearchedZeros, precomputed_for_targets
 from .rendered import Rendering, strengths
-from .spectrum import on_record_bins
-from .wavelet import Wavelet, Window
-from .zeros import FixedZeros, SearchedZeros
+from .signals import Wavelet, Window, on_record_bins
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..errors import DataError, ScenarioError
+from ..errors import ScenarioError
 from ..typing import BoolArray, ComplexArray, FloatArray
 
 RegularisationKind = Literal["rcond", "tikhonov", "discrepancy", "lcurve", "noise"]
@@ -119,30 +119,6 @@ class Inversion:
         return np.asarray(residual / np.maximum(np.linalg.norm(self.wanted, axis=1), np.finfo(float).tiny))
 
 
-def invert(
-    matrix: ComplexArray,
-    wanted: ComplexArray,
-    regularisation: Regularisation,
-    frequency: FloatArray,
-    error: FloatArray | None = None,
-) -> tuple[ComplexArray, Inversion]:
-    """S (n, q) minimising |H S - U| per frequency, and the report; H is ``matrix`` (n, c, q), U ``wanted``
-    (n, c), ``error`` (n,) the e(f) [-] that H was measured with, NaN or None where unknown.
-
-    A zero column (dead actuator) gets no drive; equal columns share it evenly (minimum norm). Entries must be finite.
-    """
-    n = matrix.shape[:1]
-    unlike = matrix.ndim != 3 or matrix.size == 0 or wanted.shape != matrix.shape[:2] or frequency.shape != n
-    if unlike or (error is not None and error.shape != n):
-        raise DataError(
-            f"an inversion needs H (n, c, q), what is wanted (n, c) and frequencies (n,), got {matrix.shape}, "
-            f"{wanted.shape} and {frequency.shape}"
-        )
-    if not (np.isfinite(matrix).all() and np.isfinite(wanted).all()):
-        raise DataError("an inversion needs finite numbers; leave out bins on which H is not known")
-    return least_squares(decomposed(matrix), wanted, regularisation, frequency, error)
-
-
 def least_squares(
     h: Decomposed,
     wanted: ComplexArray,
@@ -150,7 +126,12 @@ def least_squares(
     frequency: FloatArray,
     error: FloatArray | None = None,
 ) -> tuple[ComplexArray, Inversion]:
-    """:func:`invert` of an H that is decomposed already: nothing here costs more than a product with it."""
+    """S (n, q) minimising |H S - U| per frequency, and the report.
+
+    U is ``wanted`` (n, c), ``error`` (n,) the e(f) [-] that H was measured with, NaN or None where unknown. A zero
+    column (dead actuator) gets no drive; equal columns share it evenly (minimum norm). Nothing costs more than a
+    product with H, which is decomposed already.
+    """
     s, kind, value = h.s, regularisation.kind, regularisation.value
     beta = (h.inward @ wanted[:, :, None])[:, :, 0]
     if kind == "noise":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Self
@@ -14,7 +14,6 @@ import numpy as np
 
 from ..errors import AccuracyWarning, DataError, GeometryError, ScenarioError
 from ..geometry.device.layout import planform_ports
-from ..metrics.strength import plain_strength
 from ..ports import Port
 from ..progress import Progress
 from ..scenario import Scenario, load_scenario, parse_scenario
@@ -25,17 +24,12 @@ from ..transfer import UNITS, TransferMatrix
 from ..typing import FloatArray
 from ..usercode import is_code, named
 from .bridging import bridged
-from .drives import Renderer, displacements, drives
-from .funneling import Funneling, funneling_weights
-from .interval import Strength, strength_of
-from .inverse_filter import LEAST_ERROR, Combination, InverseFilter, prepared
+from .drives import Limits, Renderer, limits_of
+from .funneling import Funneling, funneling_weights, lattice_of
+from .inverse_filter import LEAST_ERROR, AutoZeros, Combination, InverseFilter, SearchedZeros, ThesisZeros
 from .inversion import Regularisation
-from .lattice import lattice_of
-from .limits import Limits, limits_of
-from .rendered import Rendering, render_all
-from .spectrum import Record, on_record_bins, place_on_bins
-from .wavelet import Wavelet, Window, from_samples_file, ricker, window_of
-from .zeros import AutoZeros, SearchedZeros, ThesisZeros
+from .rendered import Rendering, played_strengths, render_all
+from .signals import Record, Wavelet, Window, from_samples_file, on_record_bins, place_on_bins, ricker, window_of
 
 # RenderJob: renderers, wavelet, targets, window and limits of a scenario, set up once and played on any G.
 
@@ -53,6 +47,7 @@ class RenderJob:
     window : what S is taken over: "wavelet", "record", or seconds
     limits : of the actuators; none where the drive is no voltage
     left_out : by method that cannot serve the ports, a sentence with cause and remedy
+    ports : outputs and inputs of the G that the job was set up for
     """
 
     methods: tuple[Renderer, ...]
@@ -61,6 +56,7 @@ class RenderJob:
     window: Window = "wavelet"
     limits: Limits = field(default_factory=Limits)
     left_out: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    ports: tuple[tuple[Port, ...], tuple[Port, ...]] = ((), ())
 
     @classmethod
     def of(
@@ -79,7 +75,7 @@ class RenderJob:
             raise ScenarioError(f"rendering: {next(iter(left_out.values()), 'rendering.methods is empty; name one')}")
         limits = (limits_of(scenario.device) if g.unit == "m/V" else None) or Limits()
         methods = tuple(renderers(scenario, shape, frozenset(left_out), progress))
-        return cls(methods, shape, aims, wanted.window, limits, MappingProxyType(left_out))
+        return cls(methods, shape, aims, wanted.window, limits, MappingProxyType(left_out), (g.outputs, g.inputs))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -90,6 +86,10 @@ class RenderJob:
     def span(self) -> tuple[float, float] | None:
         """The window in seconds (start, end), None for the whole record."""
         return window_of(self.window, self.wavelet)
+
+    def on_nominal_ports(self, g: TransferMatrix) -> TransferMatrix:
+        """The same ``g`` with the ports where the experimenter takes them to be: renderers aim by these places."""
+        return replace(g, outputs=self.ports[0], inputs=self.ports[1])
 
     def warn(self) -> None:
         """An AccuracyWarning for each method that is left out."""
@@ -108,11 +108,6 @@ class RenderJob:
             progress=progress,
         )  # fmt: skip
 
-    def account(self, transfer: TransferMatrix, rendering: Rendering) -> Strength:
-        """S of ``rendering``, which :meth:`play` made of ``transfer``, with its interval."""
-        measured = any(e.source == "measurement" for e in transfer.errors) or transfer.deviation is not None
-        return strength_of(rendering, self.methods, self.wavelet, measured)
-
     def strengths(
         self, design_on: TransferMatrix, *play_on: TransferMatrix, windows: Sequence[Window] = ()
     ) -> FloatArray:
@@ -121,18 +116,8 @@ class RenderJob:
         Keeps no signals and bridges no holes: for studies over many G. S is over the job's own window unless
         ``windows`` name others.
         """
-        aims, spans = self.targets, [window_of(w, self.wavelet) for w in windows or (self.window,)]
-        ready, methods = prepared(on_record_bins(design_on, self.wavelet.record), self.methods, aims)
-        played = [ready if g is design_on else on_record_bins(g, self.wavelet.record) for g in play_on or (design_on,)]
-        out = np.empty((len(spans), len(played), len(methods), len(aims)))
-        for m, method in enumerate(methods):
-            for t, target in enumerate(aims):
-                sent = drives(method, ready, target, self.wavelet)
-                for p, where in enumerate(played):
-                    moved, row = displacements(where, sent), where.row(target)
-                    for w, span in enumerate(spans):
-                        out[w, p, m, t] = plain_strength(moved.values, row, time=moved.time, window=span)
-        return out
+        spans = [window_of(w, self.wavelet) for w in windows or (self.window,)]
+        return played_strengths(design_on, play_on or (design_on,), self.targets, self.methods, self.wavelet, spans)
 
 
 def render_transfer(

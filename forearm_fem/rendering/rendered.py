@@ -18,13 +18,21 @@ from ..progress import Progress, tell
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, FloatArray
 from .bridging import Bridged, bridged
-from .drives import Displacements, Drives, Renderer, displacements, drives
-from .funneling import Funneling
+from .drives import (
+    Displacements,
+    DriveReport,
+    Drives,
+    Limits,
+    Renderer,
+    beyond_limits,
+    check,
+    counted_points,
+    displacements,
+    drives,
+)
+from .funneling import Funneling, is_thesis_grid
 from .inverse_filter import Combination, InverseFilter, prepared
-from .lattice import is_thesis_grid
-from .limits import DriveReport, Limits, beyond_limits, check, counted_points
-from .spectrum import on_record_bins
-from .wavelet import Wavelet, Window, ricker, window_of
+from .signals import Wavelet, Window, on_record_bins, ricker, window_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -240,21 +248,36 @@ def strengths(
     wavelet: Wavelet,
     *,
     window: Window = "wavelet",
-    fixed: Sequence[Sequence[Drives]] | None = None,
 ) -> FloatArray:
     """S (n_method, n_target) only, keeping no signals: for studies over many G.
 
-    ``fixed`` (n_method x n_target drives) plays these drives on ``transfer`` instead of aiming anew: what a
-    device calibrated on another G would reach. Holes are not bridged. Raises as :func:`render_all`.
+    Holes are not bridged. Raises as :func:`render_all`.
     """
-    seconds, targets, methods = window_of(window, wavelet), _as_targets(targets, transfer), _as_renderers(methods)
-    placed = on_record_bins(transfer, wavelet.record)
-    if fixed is None:
-        placed, methods = prepared(placed, methods, targets)
-    out = np.empty((len(methods), len(targets)))
+    names, renderers = _as_targets(targets, transfer), _as_renderers(methods)
+    found = played_strengths(transfer, (transfer,), names, renderers, wavelet, (window_of(window, wavelet),))
+    return np.asarray(found[0, 0])
+
+
+def played_strengths(
+    design_on: TransferMatrix,
+    play_on: Sequence[TransferMatrix],
+    targets: Sequence[str],
+    methods: Sequence[Renderer],
+    wavelet: Wavelet,
+    spans: Sequence[tuple[float, float] | None],
+) -> FloatArray:
+    """S (n_span, n_play, n_method, n_target) of drives aimed by ``design_on``, as played on each of ``play_on``.
+
+    S is taken over each of the ``spans`` [s], None: the whole record. Keeps no signals and bridges no holes.
+    """
+    placed, methods = prepared(on_record_bins(design_on, wavelet.record), methods, targets)
+    played = [placed if g is design_on else on_record_bins(g, wavelet.record) for g in play_on]
+    out = np.empty((len(spans), len(played), len(methods), len(targets)))
     for m, method in enumerate(methods):
         for t, target in enumerate(targets):
-            sent = fixed[m][t] if fixed is not None else drives(method, placed, target, wavelet)
-            reached = displacements(placed, sent)
-            out[m, t] = plain_strength(reached.values, placed.row(target), time=reached.time, window=seconds)
+            sent = drives(method, placed, target, wavelet)
+            for p, where in enumerate(played):
+                moved, row = displacements(where, sent), where.row(target)
+                for s, span in enumerate(spans):
+                    out[s, p, m, t] = plain_strength(moved.values, row, time=moved.time, window=span)
     return out

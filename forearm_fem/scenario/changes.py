@@ -187,6 +187,8 @@ def key_meant(key: str, schema: dict[str, Any]) -> str | None:
         return (get_close_matches(key, namesakes, 1, 0.0) or namesakes)[0]
     beside = {k.rpartition(".")[2]: k for k in known if k.rpartition(".")[0] == table}
     alike = get_close_matches(name, beside, 1, _ALIKE)
+    if not alike and table == "tissues":  # a tissue's values, written one table too high
+        return f"tissues.override.{name}"
     return beside[alike[0]] if alike else None
 
 

@@ -6,11 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, TypeAdapter, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from .actuators import ACTUATORS, ActuatorName, beneath
 from .base import Length, Mass, Part, Voltage, Within, choice, given, idle, only_in
-from .changes import remade
 
 MOST_ACTUATORS = 100
 NEAREST = 2e-4  # [m] between two grid points: closer ones are one place, and no mesh is that fine
@@ -300,11 +299,6 @@ Device = Annotated[
     Discriminator(_device),
     BeforeValidator(_with_preset),
 ]
-
-
-def device_of(**keys: Any) -> Device:
-    """A device from its keys, e.g. ``device_of(drive="force", contacts=[[0, 0]])``; ScenarioError for wrong ones."""
-    return remade(TypeAdapter(Device), keys, {}, "device")
 
 
 class _Read(Part):

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from ..laws import LAWS
 from .base import Length, Part, UserCode, Within, idle
 
 Modulus = Annotated[float, Within(0.1, 1e13, "Pa")]
@@ -13,6 +14,10 @@ Viscosity = Annotated[float, Within(1e-9, 1e6, "Pa s", zero=True)]
 PerLength = Annotated[float, Within(1e-9, 1e9, "N/m", zero=True)]
 SheetViscosity = Annotated[float, Within(1e-12, 1e6, "N s/m", zero=True)]
 PerArea = Annotated[float, Within(1e-9, 1e4, "kg/m^2", zero=True)]
+if TYPE_CHECKING:
+    LawName = str
+else:
+    LawName = Literal[tuple(LAWS)]
 
 
 class TissueOverride(Part):
@@ -22,12 +27,12 @@ class TissueOverride(Part):
     mu: Modulus | None = Field(None, description="storage (shear) modulus [Pa]")
     eta: Viscosity | None = Field(None, description="shear viscosity [Pa s]")
     bulk: Modulus | Literal["incompressible"] | None = Field(None, description="bulk modulus [Pa]")
-    law: Literal["kelvin-voigt", "springpot", "zener"] | UserCode | None = Field(
+    law: LawName | UserCode | None = Field(
         None,
         description="law of the shear modulus; kelvin-voigt where left out; your own as module:Name of a file beside "
         "the scenario",
     )
-    parameters: dict[str, float] = Field(default_factory=dict, description="of a law of your own, by name, in SI")
+    parameters: dict[str, float] = Field(default_factory=dict, description="of a law that are no keys here, in SI")
     exponent: Annotated[float, Within(0.001, 0.999)] | None = Field(None, description="springpot exponent [-]")
     mu_infinity: Modulus | None = Field(None, description="Zener high-frequency modulus [Pa]")
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..metrics.strength import strength_text
 from ..ports import positions
-from ..rendering.limits import not_counted_words
+from ..rendering.drives import not_counted_words
 from ..scenario import Scenario
 from ..scenario.shipped import shipped_scenarios
 from .data import Results

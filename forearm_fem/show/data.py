@@ -16,10 +16,11 @@ from ..geometry.mesh.files import read_mesh
 from ..geometry.mesh.tissue_mesh import TissueMesh, with_finer_skin
 from ..ports import Port, positions
 from ..rendering import Record, Wavelet, from_samples_file, ricker
-from ..rendering.limits import counted_points
+from ..rendering.drives import counted_points
 from ..results.files import (
     Signals,
     StrengthRow,
+    Wavefield,
     read_compliance,
     read_displacements,
     read_drives,
@@ -27,7 +28,6 @@ from ..results.files import (
     read_transfer,
 )
 from ..results.run import RunRecord, read_run
-from ..results.wavefield import Wavefield
 from ..scenario import Scenario, parse_scenario
 from ..scenario.rendering import SampledWavelet
 from ..store.record import load

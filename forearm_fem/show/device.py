@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..device import driving_point_impedance, respond
-from ..rendering.limits import limits_of
+from ..rendering.drives import limits_of
 from ..typing import FloatArray
 from .data import Results
 from .style import ACTUATORS, COLUMN, GREY, LINES, PAGE, decimal, letter, method_colour, sheet, styled

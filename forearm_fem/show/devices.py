@@ -17,18 +17,22 @@ from ..errors import DataError
 from ..metrics.strength import strength_text
 from ..ports import positions
 from ..progress import Progress, tell
-from ..rendering.limits import rim_gaps
+from ..rendering.drives import rim_gaps
+from ..results.draws import DRAWS_FILE, DrawsFile
+from ..store.record import load
 from ..transfer import total_error
 from ..typing import BoolArray, FloatArray
-from .answer import MethodAnswer, interval_words, method_answers, not_counted, people_words, subject_of
+from .answer import MethodAnswer, asked_of, interval_words, method_answers, not_counted, subject_of
 from .data import Results
 from .facts import accuracy_words
 from .judge import Strengths, plot_strength_map, strengths
 from .page import Block, Page, Section, embedded
 from .style import GREY, INK, single, styled
+from .track import track_record
 
 _SAME = 1e-3  # m: points this near are the same
 _PEAK = 1e-6  # m: the motion of a target that volts are told for
+DRAWS = f"prediction/{DRAWS_FILE}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +40,7 @@ class Device:
     """One run: its S, what each method reaches, and what it takes.
 
     ``drive`` (n_method, n_target) is the largest drive [unit] that moves a target by 1 um at its peak; ``gap`` [m] the
-    nearest rim of a point that counts; ``error`` e_band of G [-].
+    least distance of a point from a rim; ``error`` e_band of G [-].
     """
 
     name: str
@@ -120,7 +124,7 @@ def _device(name: str, results: Results) -> Device:
         drive = np.abs(sent.values).max(axis=(2, 3)) * _PEAK / reached
     order = [[moved.methods.index(m)] for m in data.methods], [moved.targets.index(t) for t in data.targets]
     gaps = rim_gaps(data.outputs, results.touching)
-    known = gaps[np.isfinite(gaps) & data.counted]
+    known = gaps[np.isfinite(gaps)]
     return Device(name, results, data, method_answers(data), drive[order], sent.unit,
                   float(known.min()) if len(known) else float("nan"), total_error(results.transfer.errors))  # fmt: skip
 
@@ -131,40 +135,127 @@ def _mean(values: FloatArray) -> float:
 
 
 def answer_lines(found: Devices) -> list[str]:
-    """The verdict: which device, by how much, over which points."""
-    reached = (f"{d.name} at {len(d.best.focused)} of {d.best.points} points that count ({d.best.method})"
-               for d in found.ranked)  # fmt: skip
-    said = [f"S > 1: {'; '.join(reached)}."]
+    """The verdict: which device, why, by how much over the same points, and on how many arms."""
+    first, second, *_ = found.ranked
+    said = [f"{_verdict(found)}."]
+    for d in found.ranked:
+        reached = f"{d.name} focuses (S > 1) at {len(d.best.focused)} of {len(d.data.targets)} points ({d.best.method})"
+        left_out = not_counted(d.results, d.data)
+        said.append(f"{reached}{'; ' if left_out else ''}{left_out}.")
     if found.shared is None:
         said.append("The grids differ, so S is compared as a whole only: lay the same points for both.")
     elif found.shared.any():
-        points = [t for t, s in zip(found.devices[0].data.targets, found.shared, strict=True) if s]
+        points = [t for t, s in zip(first.data.targets, found.shared, strict=True) if s]
         means = ", ".join(f"{strength_text(found.mean(d))} {d.name}" for d in found.ranked)
         some = f"the {len(points)} points that count in all ({', '.join(points)})"
         over = "all points" if found.shared.all() else some
         said.append(f"Mean S over {over}: {means}.")
     else:
         said.append("No point counts in all of them, so no mean is over the same points.")
-    told = ((device.name, not_counted(device.results, device.data)) for device in found.devices)
-    said += [f"{name}: {left_out}." for name, left_out in told if left_out]
-    if overlap := _undecided(found):
-        said.append(overlap)
+    said.append(_people_line(found, first, second))
     return said
 
 
-def _undecided(found: Devices) -> str:
-    """Said where the numerics' intervals of the two best devices' means overlap."""
+def _verdict(found: Devices) -> str:
+    """Title: the better device and why, or a draw."""
     first, second, *_ = found.ranked
-    spans = []
-    for d in (first, second):
-        m, kept = d.data.methods.index(d.best.method), d.data.counted if found.shared is None else found.shared
-        spans.append((_mean(d.data.low[m, kept]), _mean(d.data.high[m, kept])))
-    (low, _), (_, high) = spans
-    if not np.isfinite([*spans[0], *spans[1]]).all():
-        return "How far apart the two are is not known to the numerics: an interval of S is unknown."
-    if low <= high and spans[1][0] <= spans[0][1]:
-        return "The intervals of the two means overlap: call it a draw, or ask for a smaller `accuracy`."
-    return ""
+    reached = [len(d.best.focused) for d in (first, second)]
+    if found.shared is None:
+        return f"{first.name} focuses at the larger share of its points, {second.name} at others"
+    low, high = (_mean_interval(found, d) for d in (first, second))
+    if reached[0] > reached[1]:
+        why = f"it focuses at {reached[0]} points, {second.name} at {reached[1]}"
+    elif not np.isfinite([*low, *high]).all():
+        return f"Undecided between {first.name} and {second.name}: an interval of S is unknown"
+    elif low[0] <= high[1] and high[0] <= low[1]:
+        return (f"A draw between {first.name} and {second.name}: both focus at {reached[0]} points, and the intervals "
+                "of their mean S overlap")  # fmt: skip
+    else:
+        why = f"both focus at {reached[0]} points, and its mean S is larger beyond the numerics' error"
+    return f"{first.name} is better than {second.name} on this arm: {why}"
+
+
+def _mean_interval(found: Devices, d: Device) -> tuple[float, float]:
+    """Interval of the mean S of a device's best method over the points that count."""
+    m, kept = d.data.methods.index(d.best.method), d.data.counted if found.shared is None else found.shared
+    return _mean(d.data.low[m, kept]), _mean(d.data.high[m, kept])
+
+
+@dataclass(frozen=True, eq=False)
+class SameArms:
+    """S of two devices on the same drawn arms.
+
+    ``ratio`` (n_arm, n_method, n_target) is S of the second over S of the first; ``mean`` (n_arm,) that of their means
+    over the shared points, each device by its best method.
+    """
+
+    ratio: FloatArray
+    mean: FloatArray
+
+
+def same_arms(found: Devices, a: Device, b: Device) -> SameArms | None:
+    """Both devices on the arms that both folders' predictions drew; None without two predictions of the same arms."""
+    if found.shared is None or not found.shared.any() or not all(d.results.has(DRAWS) for d in (a, b)):
+        return None
+    files = [load(d.results.path(DRAWS), DrawsFile) for d in (a, b)]
+    good = [{n: k for k, n in enumerate(f.draw.tolist()) if not f.problem[k]} for f in files]
+    both = sorted(good[0].keys() & good[1].keys())
+    names = [n for n in files[0].driver if n in files[1].driver]
+    rows = [np.array([g[n] for n in both], dtype=int) for g in good]
+    drawn = [f.drivers[r][:, [f.driver.index(n) for n in names]] for f, r in zip(files, rows, strict=True)]
+    alike = [tuple(f.law[k] for k in r) for f, r in zip(files, rows, strict=True)]
+    if not both or alike[0] != alike[1] or not np.allclose(drawn[0], drawn[1], rtol=1e-6, equal_nan=True):
+        return None
+    methods, targets = a.data.methods, a.data.targets
+    if any(set(methods) - set(f.method) or set(targets) - set(f.target) for f in files):
+        return None
+    played = [
+        f.strengths[r, f.reading.index("played")][:, [f.method.index(m) for m in methods]][
+            :, :, [f.target.index(t) for t in targets]
+        ]
+        for f, r in zip(files, rows, strict=True)
+    ]
+    best = [methods.index(d.best.method) for d in (a, b)]
+    means = [s[:, m, found.shared].mean(axis=1) for s, m in zip(played, best, strict=True)]
+    return SameArms(played[1] / played[0], means[1] / means[0])
+
+
+def _people_line(found: Devices, first: Device, second: Device) -> str:
+    """On how many arms the order of the two stays, or how that is found."""
+    arms = same_arms(found, first, second)
+    if arms is None:
+        return (f"People differ by about a factor of {track_record().width:.2g}, but both devices meet the same arm: "
+                "draw arms for both (below) and compare again to see on how many the order stays.")
+    low, middle, high = np.quantile(arms.mean, (0.05, 0.5, 0.95))
+    return (f"On {len(arms.mean)} drawn arms, the same for both, {first.name} has the larger mean S over the shared "
+            f"points on {100 * (arms.mean < 1).mean():.0f} %; {second.name} has {middle:.2f} times its S ({low:.2f} to "
+            f"{high:.2f} on 90 % of arms).")  # fmt: skip
+
+
+def ratios_block(found: Devices, a: Device, b: Device) -> Block:
+    """S of ``b`` over S of ``a`` at every point by each method, with the numerics' interval and the arms' agreement."""
+    assert found.shared is not None
+    arms, shared = same_arms(found, a, b), found.shared
+    methods = [m for m in a.data.methods if m in b.data.methods]
+    rows = []
+    for t, target in enumerate(a.data.targets):
+        cells = []
+        for method in methods:
+            i, j = a.data.methods.index(method), b.data.methods.index(method)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                middle = b.data.values[j, t] / a.data.values[i, t]
+                low, high = b.data.low[j, t] / a.data.high[i, t], b.data.high[j, t] / a.data.low[i, t]
+            if not shared[t]:
+                lost = [d.name for d in (a, b) if not d.data.counted[t]]
+                cells.append(f"not counted for {' and '.join(lost)}")
+                continue
+            known = f"{low:.2f} to {high:.2f}" if np.isfinite([low, high]).all() else "interval unknown"
+            text = f"×{middle:.2f} ({known})" if np.isfinite(middle) else "unknown"
+            if arms is not None:
+                text += f"; {100 * (arms.ratio[:, i, t] > 1).mean():.0f} % of arms above 1"
+            cells.append(text)
+        rows.append([target, *cells])
+    return Block(["point", *methods], rows, f"Above 1: {b.name} is better. In brackets the numerics' interval.")
 
 
 def devices_block(found: Devices) -> Block:
@@ -177,14 +268,20 @@ def devices_block(found: Devices) -> Block:
         volts = f"{known.min():.2g} to {known.max():.2g} {d.unit}" if len(known) else "unknown"
         rows.append([
             d.name, str(len(d.results.transfer.inputs)), b.method, f"{len(b.focused)} of {b.points}", least,
-            strength_text(found.mean(d)), volts, f"{1e3 * d.gap:.1f} mm" if np.isfinite(d.gap) else "unknown",
+            _with_interval(found, d), volts, f"{1e3 * d.gap:.1f} mm" if np.isfinite(d.gap) else "unknown",
             f"{100 * d.error:.2g} %" if np.isfinite(d.error) else "unknown",
         ])  # fmt: skip
     over = "the points that count in all" if found.shared is not None else "its own points that count"
-    note = (f"Mean S over {over}. Drive: the largest of any actuator that moves the target by 1 µm. Clearance: from a "
-            "point that counts to the nearest rim.")  # fmt: skip
+    note = (f"Mean S over {over}. Drive: the largest of any actuator that moves the target by 1 µm. Clearance: the "
+            "least from a point to a motor's rim.")  # fmt: skip
     return Block(["device", "actuators", "best method", "S > 1 at", "least S", "mean S", "drive for 1 µm", "clearance",
                   "error of G"], rows, note)  # fmt: skip
+
+
+def _with_interval(found: Devices, d: Device) -> str:
+    low, high = _mean_interval(found, d)
+    known = f" ({low:.2f} to {high:.2f})" if np.isfinite([low, high]).all() else " (interval unknown)"
+    return f"{strength_text(found.mean(d))}{known}"
 
 
 def points_block(found: Devices) -> Block:
@@ -205,9 +302,9 @@ def _cell(data: Strengths, method: str, target: str) -> str:
 
 
 @styled
-def plot_difference_map(found: Devices, a: Device, b: Device, *, ax: Axes | None = None) -> Axes:
-    """S of ``b`` over S of ``a``, each by its best method, at the points that count in all; both devices' motors."""
-    ours, theirs = (d.data.values[d.data.methods.index(d.best.method)] for d in (a, b))
+def plot_difference_map(found: Devices, a: Device, b: Device, method: str, *, ax: Axes | None = None) -> Axes:
+    """S of ``b`` over S of ``a`` by ``method`` at the points that count in all; both devices' motors."""
+    ours, theirs = (d.data.values[d.data.methods.index(method)] for d in (a, b))
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = theirs / ours
     at = 1e3 * positions(a.data.outputs)[:, :2]
@@ -217,18 +314,18 @@ def plot_difference_map(found: Devices, a: Device, b: Device, *, ax: Axes | None
     every = np.concatenate([at - radius, at + radius, *(p for _, p in motors)])
     low, high = every.min(axis=0) - 5, every.max(axis=0) + 5
     axes = single(ax, (3.0, 3.0 * float(np.clip((high - low)[1] / (high - low)[0], 0.4, 1.5))))
-    size = np.abs(np.log2(ratio[np.isfinite(ratio) & (ratio > 0)]))
-    norm = TwoSlopeNorm(0, -max(size.max(initial=0.1), 0.1), max(size.max(initial=0.1), 0.1))
+    norm = TwoSlopeNorm(0, -1, 1)  # a factor of two, for all maps
     for (device, places), line in zip(motors, ("-", ":"), strict=True):
         for place, port in zip(places, device.data.inputs, strict=True):
             axes.add_patch(Circle(place, 1e3 * port.radius, facecolor="none", edgecolor=GREY, ls=line, lw=0.9))
     for k, (place, value) in enumerate(zip(at, ratio, strict=True)):
         counts = found.shared is not None and bool(found.shared[k]) and np.isfinite(value) and value > 0
-        face = colormaps["PuOr_r"](float(norm(np.log2(value)))) if counts else "#DDDDDD"
+        shade = float(np.clip(norm(np.log2(value)), 0, 1)) if counts else 0.5
+        face = colormaps["PuOr_r"](shade) if counts else "#DDDDDD"
         axes.add_patch(Circle(place, radius, facecolor=face, edgecolor=INK if counts else GREY, lw=0.5))
         if counts:
-            ink = "w" if abs(float(norm(np.log2(value))) - 0.5) > 0.36 else INK
-            axes.annotate(f"×{value:.2g}", place, ha="center", va="center", fontsize=7.5, color=ink)
+            ink = "w" if abs(shade - 0.5) > 0.36 else INK
+            axes.annotate(f"×{value:.2f}", place, ha="center", va="center", fontsize=7.5, color=ink)
         axes.annotate(a.data.targets[k], (place[0], place[1] - radius), (0, -1.5), textcoords="offset points",
                       ha="center", va="top", fontsize=6, color="#555555")  # fmt: skip
     axes.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
@@ -245,33 +342,42 @@ def devices_page(found: Devices) -> Page:
         notes = [interval_words(d.data, m, t) for t in range(len(d.data.targets))]
         drawn = plot_strength_map(d.data.to_xarray(), d.best.method, notes, alike=every)
         maps.append(embedded(drawn, f"{d.name}: S, {d.best.method}"))
-    differences = [
-        embedded(plot_difference_map(found, first, d),
-                 f"S of {d.name} (dotted) over S of {first.name} (solid): orange where {d.name} is better")
-        for d in found.ranked[1:] if found.shared is not None
-    ]  # fmt: skip
+    against: list[Section] = []
+    for d in found.ranked[1:] if found.shared is not None else ():
+        pictures = [
+            embedded(plot_difference_map(found, first, d, m),
+                     f"{m}: S of {d.name} (dotted) over S of {first.name} (solid), orange where {d.name} is better")
+            for m in first.data.methods if m in d.data.methods
+        ]  # fmt: skip
+        against.append(Section(f"against-{len(against) + 1}", f"{d.name} against {first.name}, point by point",
+                               ratios_block(found, first, d), pictures=pictures))  # fmt: skip
     trust = [
         f"{d.name}: {accuracy_words(d.results)}" for d in found.devices
-    ] + [people_words(first.data)]  # fmt: skip
+    ] + [
+        "The grid is the same for all, so more points stand clear of a wider device's motors. Points that do not "
+        "count still stand in the denominator of S at the others. A grid that scales with the device (`--set "
+        "grid.pitch=...`) asks another question, and its answer may differ.",
+    ]  # fmt: skip
+    bare = [d for d in found.devices if not d.results.has(DRAWS)]
     folders = " ".join(shlex.quote(str(d.results.folder)) for d in found.devices)
-    asked = first.results.account.asked or first.results.scenario.name
     sections = [
         Section("devices", "One row each", devices_block(found)),
         Section("maps", "S on the skin", pictures=maps,
                 paragraphs=["The best method of each. White is S = 1, orange more, purple less, grey not counted."]),
-        Section("differences", "Where they differ", pictures=differences),
+        *against,
         Section("trust", "How far to trust it", bullets=trust),
         Section("next", "What to do next", commands=[
-            ("See on how many people the order stays", f"forearm-fem predict {asked}"),
+            *((f"Draw arms for {d.name}; the others meet the same ones",
+               f"forearm-fem predict {asked_of(d.results)} --out {shlex.quote(str(d.results.folder))}") for d in bare),
+            *([("Compare again, now on the same arms", f"forearm-fem compare {folders}")] if bare else []),
             ("Explore the better one in a browser", f"forearm-fem workbench {shlex.quote(str(first.results.folder))}"),
-            ("Compare again with a third", f"forearm-fem compare {folders} results/THIRD"),
         ]),
         Section("points", "S at each point", points_block(found), folded=True),
         Section("what", "What they are", bullets=[f"{d.name}: {subject_of(d.results)}" for d in found.devices],
                 folded=True),
     ]  # fmt: skip
-    title = f"{first.name} focuses at {len(first.best.focused)} of {len(first.data.targets)} points"
-    return Page(title, answer_lines(found), sections, first.results.stamp)
+    verdict, *others = answer_lines(found)
+    return Page(verdict.removesuffix("."), others, sections, first.results.stamp)
 
 
 def devices_console(found: Devices, page: Path) -> list[str]:

@@ -11,8 +11,8 @@ import numpy as np
 from ..accuracy.estimates import short_verdict
 from ..metrics import condition_number, condition_summary, thesis_table
 from ..metrics.strength import GROUPS, strength_text
-from ..rendering.lattice import is_thesis_grid
-from ..rendering.limits import beyond_limits, limits_of
+from ..rendering.drives import beyond_limits, limits_of
+from ..rendering.funneling import is_thesis_grid
 from ..scenario import Scenario
 from ..scenario.device import GridPlaces, Places
 from ..transfer import entry_band_errors, total_error
@@ -52,7 +52,8 @@ def limb_words(s: Scenario) -> str:
     """Shape, layers and bones of the limb."""
     inside = ", ".join(f"{x.tissue} {_mm(x.thickness)}" for x in getattr(s.limb, "layers", ()))
     core, bones = getattr(s.limb, "core", ""), ", ".join(b.name for b in getattr(s.limb, "bones", ()))
-    within = (inside, f"on {core}" if core else "", f"bones {bones}" if bones else "")
+    flat = s.engine == "layered"  # which leaves bones out
+    within = (inside, f"on {core}" if core else "", f"bones {bones}" if bones and not flat else "")
     told = ", ".join(part for part in within if part)
     shape = s.limb.shape
     article = "a" if shape[0] not in "aeiou" else "an"

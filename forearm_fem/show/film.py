@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
+from io import BytesIO
 from pathlib import Path
 from textwrap import wrap
 from types import MappingProxyType
@@ -25,8 +26,9 @@ from ..progress import Progress, tell
 from ..store.folder import atomic_path
 from ..typing import FloatArray, IntArray
 from .data import Results
-from .motion import Motion, View, default_times, motion, round_down_125, shown_values
+from .motion import Motion, View, default_times, focus_time, motion, round_down_125, shown_values
 from .scene import (
+    FONT,
     MM,
     NAMED,
     add_bones,
@@ -40,7 +42,7 @@ from .scene import (
     trimmed,
     volume_grid,
 )
-from .style import COLUMN, PAGE, SIGNED, SIZE, sheet, styled
+from .style import COLUMN, INK, PAGE, SIGNED, SIZE, minus, panels, sheet, styled
 
 __all__ = ["Look", "animate", "plot_wavefield", "wavefield"]
 
@@ -48,8 +50,7 @@ CAMERAS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     {"oblique": (-0.75, -1.0, 0.95), "top": (0.0, -0.001, 1.0), "side": (0.0, -1.0, 0.25), "wrist": (-1.0, -0.12, 0.3)}
 )
 _BULGE = 5.0  # mm: the largest displacement as drawn
-_BAR_SHARE = 0.18  # of the plate's width; numbers and title need the rest
-_TITLE_ABOVE = 14  # pixels of 900 between the bar and its title, that the topmost number has room
+_PLATE, _BAR = (0.868, 0.2, 0.125, 0.6), (0.885, 0.25, 0.02, 0.48)  # of a film's frame: left, bottom, width, height
 _MAPS = {"normal": SIGNED, "magnitude": SIZE, "phase": "twilight"}
 
 
@@ -185,8 +186,9 @@ class Stage:
         )
         if not self.silent:
             self.plotter.add_text(
-                "\n".join(self.words(step)), position="upper_left", font_size=10, color="black", name="words"
-            )
+                minus("\n".join(self.words(step))), position="upper_left", font_size=10, color="black", name="words",
+                font_file=FONT,
+            )  # fmt: skip
 
     def beyond(self, step: int) -> bool:
         """True if some of the body moves more than the colours tell."""
@@ -218,10 +220,10 @@ def staged(results: Results, plotter: Any, moved: Motion, look: Look, whole: Mot
     stage = Stage(plotter, body, moved, *scales, without, look.bare)
     stage.show(0)
     ports = (*results.transfer.inputs, *results.transfer.outputs)
-    unit, ends = _scale(view.quantity, stage.limit, look)
+    _, ends = _scale(view.quantity, stage.limit, look)
     plotter.add_mesh(body.dataset, scalars="shown", cmap=_MAPS[view.quantity], clim=ends, smooth_shading=True,
-                     ambient=0.3, diffuse=0.62, specular=0.05, scalar_bar_args=_bar(unit, look),
-                     show_scalar_bar=not look.bare, interpolate_before_map=view.quantity != "phase")  # fmt: skip
+                     ambient=0.3, diffuse=0.62, specular=0.05, show_scalar_bar=False,
+                     interpolate_before_map=view.quantity != "phase")  # fmt: skip
     left = standing(ports, look.cut, _port(results.transfer.outputs, view.target).position)
     named = not look.bare
     add_device(plotter, left, opacity=0.25, named=named)
@@ -230,8 +232,7 @@ def staged(results: Results, plotter: Any, moved: Motion, look: Look, whole: Mot
         add_bones(plotter, results.mesh)
     add_scale_bar(plotter, _scale_bar(ports), named=named)
     if named:
-        plotter.add_text(results.stamp, position="upper_right", font_size=6, color="gray")
-        _on_white(plotter, look)
+        plotter.add_text(results.stamp, position="upper_right", font_size=6, color="gray", font_file=FONT)
     _aim(plotter, results, look)
     return stage
 
@@ -241,16 +242,28 @@ def _scale_bar(ports: Sequence[Port]) -> FloatArray:
     return np.asarray(MM * np.array([p.position for p in ports]).min(axis=0) + np.array([-8, -16, 0]))
 
 
-def _on_white(plotter: Any, look: Look) -> None:
-    """A white plate under the colour bar, its numbers and its title, which else would be read against the limb."""
-    for name in plotter.scalar_bars.keys():  # noqa: SIM118 (no mapping: it has keys only)
-        bar = plotter.scalar_bars[name]
-        bar.SetBarRatio(_BAR_SHARE)
-        bar.SetVerticalTitleSeparation(round(_TITLE_ABOVE * look.size[1] / 900))
-        bar.SetTextPad(2)
-        bar.DrawBackgroundOn()
-        bar.GetBackgroundProperty().SetColor(1.0, 1.0, 1.0)
-        bar.GetBackgroundProperty().SetOpacity(0.85)
+@styled
+def colour_bar(stage: Stage, look: Look, saturated: bool) -> FloatArray:
+    """The colour bar on a white plate, (row, column, rgba) from 0 to 1 of a whole frame, in the figures' font."""
+    wide, tall = look.size
+    figure, points = panels((wide / 100, tall / 100)), 10.5 * tall / 900
+    figure.set(dpi=100, layout_engine="none")
+    figure.patch.set_alpha(0.0)
+    figure.add_axes(_PLATE, facecolor=(1, 1, 1, 0.85), xticks=[], yticks=[]).spines[:].set_visible(False)
+    unit, ends = _scale(stage.moved.view.quantity, stage.limit, look)
+    colours = ScalarMappable(Normalize(*ends), _MAPS[stage.moved.view.quantity])
+    bar = figure.colorbar(colours, cax=figure.add_axes(_BAR), extend="both" if saturated else "neither")
+    bar.ax.tick_params(labelsize=points, labelcolor=INK, width=0.6 * tall / 900)
+    bar.ax.set_title(unit, fontsize=1.1 * points, pad=1.2 * points, loc="left")
+    drawn = BytesIO()
+    figure.savefig(drawn, format="rgba", dpi=100)
+    return np.frombuffer(drawn.getvalue(), np.uint8).reshape(tall, wide, 4) / 255.0
+
+
+def _with_bar(picture: Any, bar: FloatArray) -> Any:
+    """A frame with the colour bar over it."""
+    share = bar[:, :, 3:]
+    return np.round((1 - share) * picture + 255 * share * bar[:, :, :3]).astype(np.uint8)
 
 
 def _scale(quantity: str, limit: float, look: Look) -> tuple[str, tuple[float, float]]:
@@ -260,13 +273,6 @@ def _scale(quantity: str, limit: float, look: Look) -> tuple[str, tuple[float, f
         "normal": ("u_z [µm]" if look.cut else "u outward [µm]", (-most, most)),
         "magnitude": ("|u| [µm]", (0.0, most)), "phase": ("phase [°]", (-180.0, 180.0)),
     }[quantity]  # fmt: skip
-
-
-def _bar(unit: str, look: Look) -> dict[str, Any]:
-    scale = look.size[1] / 900
-    return {"title": unit, "vertical": True, "position_x": 0.86, "position_y": 0.25, "width": 0.125,
-            "height": 0.5, "title_font_size": round(18 * scale), "label_font_size": round(16 * scale),
-            "fmt": "%.3g", "color": "black"}  # fmt: skip
 
 
 def _aim(plotter: Any, results: Results, look: Look) -> None:
@@ -279,16 +285,16 @@ def _aim(plotter: Any, results: Results, look: Look) -> None:
 
 
 def wavefield(
-    results: Results | str | Path, *, view: View | None = None, look: Look | None = None, at: float = 0.0
+    results: Results | str | Path, *, view: View | None = None, look: Look | None = None, at: float | None = None
 ) -> xr.Dataset:
     """The skin at the moment of focus: a ``picture`` (row, column, rgb), and where names stand ``at`` on it [pixels].
 
     Attributes: the ``words`` that belong to it, the ``limit`` of its colours, whether some skin moves more. ``at`` is
-    another instant [s], or at a frequency the phase [rad]. Off-screen; raises DataError for what the results do not
-    hold and ForearmError where VTK cannot draw.
+    another instant [s] than that at which the target moves most, or at a frequency the phase [rad] (default 0).
+    Off-screen; raises DataError for what the results do not hold and ForearmError where VTK cannot draw.
     """
     found, view, look = _given(results, view, look or Look(size=(2400, 1500)))
-    moved = motion(found, view, np.array([at]))
+    moved = motion(found, view, np.array([focus_time(found, view) if at is None else at]))
     with plotter_for(look.size) as plotter:
         stage = staged(found, plotter, moved, replace(look, bare=True), motion(found, view))
         picture, corner = trimmed(np.array(plotter.screenshot(None, return_img=True)))
@@ -326,7 +332,7 @@ def plot_wavefield(data: xr.Dataset, *, width: int = PAGE) -> Figure:
     for name, place in zip(data.name.values, data["at"].values, strict=True):
         words = axes.annotate(name, place, (0, 1), textcoords="offset points", ha="center", va="bottom", fontsize=6)
         words.set_path_effects([withStroke(linewidth=1.5, foreground="w", alpha=0.7)])  # on any colour
-    axes.set_title("\n".join(wrap(data.words.replace("-", "\N{MINUS SIGN}"), 110 if upright else 56)))
+    axes.set_title("\n".join(wrap(minus(data.words), 110 if upright else 56)))
     colours = ScalarMappable(Normalize(*data.ends), data.colours)
     bar = figure.colorbar(colours, ax=axes, fraction=0.03, pad=0.01, shrink=0.8,
                           extend="both" if data.saturated else "neither",
@@ -362,10 +368,12 @@ def animate(
     with plotter_for(look.size) as plotter:
         stage = staged(found, plotter, moved, look)
         pictures = []
+        beyond = view.quantity != "phase" and any(stage.beyond(k) for k in range(len(moved.steps)))
+        bar = np.zeros((1, 1, 4)) if look.bare else colour_bar(stage, look, beyond)
         for k in range(len(moved.steps)):
             stage.show(k)
             tell(progress, "frames", k + 1, len(moved.steps))
-            pictures.append(np.array(plotter.screenshot(None, return_img=True)))
+            pictures.append(_with_bar(plotter.screenshot(None, return_img=True), bar))
     with atomic_path(target) as beside:
         if kind == ".gif":  # one palette for all frames, so that colours do not flicker
             sample = Image.fromarray(np.concatenate([p[::2, ::2] for p in pictures[:: max(1, len(pictures) // 12)]]))

@@ -105,7 +105,7 @@ def strengths(results: Results) -> Strengths:
 def plot_strength_maps(data: xr.Dataset, *, width: int = PAGE) -> Figure:
     """S at each target seen from above, one map per method; white is 1, points that do not count are grey."""
     n, wide, bar_mm = data.sizes["method"], width > COLUMN, 16
-    tall = _aspect(data) * ((width - bar_mm) / n if wide else 56)
+    tall = _aspect(*_extent(data)[:2]) * ((width - bar_mm) / n if wide else 56)
     figure = sheet(width, (tall + 8) * (1 if wide else n))
     axes = np.atleast_1d(figure.subplots(*((1, n) if wide else (n, 1)), sharey=True))
     norm = _norm(data)
@@ -126,11 +126,13 @@ def plot_strength_map(
 ) -> Axes:
     """S of one ``method`` seen from above with a note below each target; ``notes`` (n_target,), e.g. ``±0.12``.
 
-    Its colours are good for ``alike``, whose maps lie beside it, too.
+    Its colours and its scale are good for ``alike``, whose maps lie beside it, too.
     """
-    axes = single(ax, (3.0, 3.0 * _aspect(data)))
+    corners = [_extent(each)[:2] for each in (data, *alike)]
+    low, high = np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
+    axes = single(ax, (3.0, 3.0 * _aspect(low, high)))
     norm = max((_norm(each) for each in (data, *alike)), key=lambda n: float(n.vmax or 0))
-    _map(axes, data, list(data.method.values).index(method), norm, notes)
+    _map(axes, data, list(data.method.values).index(method), norm, notes, (low, high))
     return axes
 
 
@@ -154,16 +156,19 @@ def _extent(data: xr.Dataset) -> tuple[FloatArray, FloatArray, float]:
     return low, high, radius
 
 
-def _aspect(data: xr.Dataset) -> float:
+def _aspect(low: FloatArray, high: FloatArray) -> float:
     """Height of a map over its width."""
-    low, high, _ = _extent(data)
     wide, tall = high - low
     return float(np.clip(tall / wide, 0.4, 1.5))
 
 
-def _map(panel: Axes, data: xr.Dataset, m: int, norm: TwoSlopeNorm, notes: Sequence[str]) -> None:
+def _map(
+    panel: Axes, data: xr.Dataset, m: int, norm: TwoSlopeNorm, notes: Sequence[str],
+    corners: tuple[FloatArray, FloatArray] | None = None,
+) -> None:  # fmt: skip
     at, coils = (1e3 * data[f"{side}_place"].values[:, :2] for side in ("output", "input"))
-    low, high, radius = _extent(data)
+    own_low, own_high, radius = _extent(data)
+    low, high = corners or (own_low, own_high)
     named = len(at) <= 25  # enough room for numbers
     for place, rim, name in zip(coils, 1e3 * data.radius.values, data.input.values, strict=True):
         panel.add_patch(Circle(place, rim, facecolor="#EEEEEE", edgecolor=GREY, lw=0.8, zorder=3))

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from ..metrics import condition_number, singular_values
 from ..rendering import AutoZeros, BinnedTransfer
 from ..rendering.drives import Aim
-from ..rendering.spectrum import BinValues, Record
+from ..rendering.signals import BinValues, Record
 from ..transfer import TransferMatrix, entry_errors
 from ..typing import ComplexArray, FloatArray
 from .data import Results, places

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from ..errors import DataError
-from ..results.wavefield import Wavefield
+from ..results.files import Wavefield
 from ..typing import ComplexArray, FloatArray
 from .data import Results
 from .targets import drive_series
@@ -90,6 +90,16 @@ def motion(results: Results, view: View, steps: FloatArray | None = None) -> Mot
 def default_times() -> FloatArray:
     """60 instants from 12 ms before the wavelet's centre to 17.5 ms after it [s]."""
     return np.asarray(np.arange(-24, 36) * 0.5e-3, dtype=np.float64)
+
+
+def focus_time(results: Results, view: View) -> float:
+    """The instant [s] at which the target moves most; 0 for a view at a frequency."""
+    if view.frequency is not None or not results.has("displacements.nc"):
+        return 0.0
+    check_view(results, view)
+    moved = results.displacements
+    m, t = moved.methods.index(view.method), moved.targets.index(view.target)
+    return float(moved.time[np.argmax(np.abs(moved.values[m, t, moved.channels.index(view.target)]))])
 
 
 def check_view(results: Results, view: View) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import DataError
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port, positions
-from ..results.wavefield import Wavefield
+from ..results.files import Wavefield
 from ..typing import ComplexArray, FloatArray, IntArray
 
 _STEEPEST = 0.35  # least n_z of a facet that still counts as volar

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from ..errors import DataError, ForearmError, NotApplicable
 from ..progress import Progress, tell
-from ..rendering.lattice import is_thesis_grid
+from ..rendering.funneling import is_thesis_grid
 from ..store.folder import atomic_path, write_text
 from . import device, film, judge, matrix, mesh, methods, targets, waves
 from .answer import beside_thesis

@@ -208,7 +208,7 @@ def methods_block(data: Strengths) -> Block:
          f"{strength_text(a.least)} at point {a.least_at}" if a.least_at else "unknown", ", ".join(a.open) or "–"]
         for a in method_answers(data)
     ]  # fmt: skip
-    return Block(["method", "S > 1 at", "mean S", "least S", "interval holds 1 at"], rows)
+    return Block(["method", "S > 1 at", "mean S", "least S", "not sure whether S > 1 at"], rows)
 
 
 def _map_words(data: Strengths) -> str:

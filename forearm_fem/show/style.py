@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
@@ -36,6 +37,11 @@ MICRO = 1e6  # what displacements are drawn times: in micrometres, their unit by
 def micro(unit: str) -> str:
     """The unit of :data:`MICRO` times values in ``unit``."""
     return "µ" + unit
+
+
+def minus(words: str) -> str:
+    """``words`` with true minus signs before numbers."""
+    return re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", words)
 
 
 def styled(draw: Callable[P, R]) -> Callable[P, R]:

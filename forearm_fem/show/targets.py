@@ -16,8 +16,7 @@ from scipy.interpolate import griddata
 from ..errors import DataError, NotApplicable
 from ..ports import positions
 from ..rendering import to_spectrum
-from ..results.files import Signals
-from ..results.wavefield import Wavefield
+from ..results.files import Signals, Wavefield
 from ..typing import ComplexArray, FloatArray
 from .data import Results, places, record_of
 from .device import active_span
@@ -187,7 +186,7 @@ def _maps(figure: Any, data: xr.Dataset, m: int, most: float, factor: str, rows:
         for panel in grid[:, k]:
             panel.plot(*points.T, ".", color=INK, ms=1.5)
             panel.plot(*points[_row(data)], "o", mfc="none", mec=INK, ms=7 if wide else 4, mew=0.9)
-            panel.plot(*coils.T, "s", mfc="none", mec=GREY, ms=5 if wide else 3, mew=0.6)
+            panel.plot(*coils.T, "o", mfc="none", mec=GREY, ms=5 if wide else 3, mew=0.6)
             panel.set(aspect="equal", xticks=(), yticks=(), xlim=(middle[0] - reach, middle[0] + reach),
                       ylim=(middle[1] - reach, middle[1] + reach))  # fmt: skip
             panel.grid(False)
@@ -232,7 +231,9 @@ def _traces(ax: Axes, data: xr.Dataset, m: int, *, titled: bool) -> None:
         ax.axvline(1e3 * t, color=FAINT, lw=0.5, zorder=0)
     if titled:
         ax.set_title(data.method.values[m], color=_colour(data, m), fontweight="bold", fontsize=9)
-    ax.legend(loc="upper right", fontsize=6, ncols=1 if titled else 2)
+        ax.set_xlabel("time [ms]; target solid", fontsize=7)
+    else:  # outside, so that no curve yields to it
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, fontsize=6, ncols=2)
 
 
 @styled

@@ -44,8 +44,8 @@ class TrackRecord:
     def sentence(self) -> str:
         """One line for reports."""
         return (
-            f"Track record: such bands (x/÷ {self.width:.2g}) held {self.entries} of 9 published S of one person and "
-            f"{self.findings} of {self.compared} other findings; more in {PAGE}."
+            f"Of published values {self.entries} of 9 S of one person and {self.findings} of {self.compared} other "
+            f"findings lay inside such bands; more in {PAGE}."
         )
 
     def as_text(self) -> str:

@@ -22,7 +22,7 @@ from ..ports import Port, distances, positions
 from ..rendering import Drives, InverseFilter, Wavelet, displacements, drives, on_record_bins
 from ..rendering.drives import Aim
 from ..rendering.funneling import known_bins
-from ..rendering.spectrum import BinnedTransfer
+from ..rendering.signals import BinnedTransfer
 from ..scenario import Scenario
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray

@@ -12,8 +12,7 @@ from typing import Any
 import psutil
 
 from ..errors import SolverError, optional
-from ..interrupts import interrupts_wait
-from ..main_guard import refuse_unguarded_script
+from ..processes import interrupts_wait, refuse_unguarded_script
 from .shelf import Shelf
 
 LIGHT = 0.6e9  # bytes of a worker that solves no finite elements

@@ -17,7 +17,7 @@ from ..measurement.virtual import VirtualDaq, VirtualOptions
 from ..ports import Port
 from ..questions.calibrate import DaqKind, hardware, wired
 from ..rendering.job import wavelet
-from ..rendering.wavelet import Wavelet
+from ..rendering.signals import Wavelet
 from ..scenario import Scenario, load_scenario, scenario_beside
 from ..scenario.measurement import DaqOptions
 from ..transfer import TransferMatrix

@@ -28,8 +28,7 @@ from ..measurement.playback import play
 from ..rendering.bridging import bridged
 from ..rendering.drives import drives
 from ..rendering.job import renderers
-from ..rendering.spectrum import BinnedTransfer, Record, on_record_bins, respond, to_spectrum
-from ..rendering.wavelet import Wavelet
+from ..rendering.signals import BinnedTransfer, Record, Wavelet, on_record_bins, respond, to_spectrum
 from ..scenario import Scenario
 from ..scenario.measurement import DaqOptions
 from ..transfer import TransferMatrix

@@ -14,15 +14,16 @@ from ..layered import kelvin_voigt_shear_wave
 from ..ports import Port
 from ..scenario.elements import FreeUnderside
 from ..scenario.tissues import Membrane
-from .blocks import block_mesh, shell_mesh
 from .scenes import (
     DIRECT,
     RADIUS,
     Row,
+    block_mesh,
     flesh,
     held_block,
     layered_truth,
     quarter_slab,
+    shell_mesh,
     slab_model,
     slab_response,
     solved_with,

@@ -25,8 +25,8 @@ from ...scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
 from ...scenario.sweep import frequencies
 from ...transfer import Compliance, ErrorEstimate
 from ...typing import BoolArray, ComplexArray, FloatArray, IntArray
-from ..engine import refuse_unheld
 from ..layered import flat_layers
+from ..simulation import refuse_unheld
 from ..solved import Solved
 from .between import Bands, Lattice, Prior, Shape, shape_of
 from .limb import ModalCompliance, constrained_compliance, deviation_held, real_product

@@ -11,13 +11,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...errors import ForearmError, ScenarioError
+from ...laws import KelvinVoigt
 from ...layered.integrals import Medium
 from ...layered.tables import from_arrays
 from ...progress import Progress, within
 from ...scenario import Scenario, parse_scenario
 from ...scenario.limb import tissue_keys
 from ...store.record import dims, load, said_content, save
-from ...tissue import KelvinVoigt, resolve_tissues
+from ...tissue import resolve_tissues
 from ...typing import ComplexArray, FloatArray
 from ..layered import flat_layers, flat_surface, kept_tables, tables_reach
 from .arm import WIDTH, ArmLibrary, library_band, library_skin

@@ -11,7 +11,7 @@ from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTri
 
 from ...errors import GeometryError
-from ...geometry.mesh.tissue_mesh import DOWN, keys, triangle_normals
+from ...geometry.mesh.tissue_mesh import DOWN, keys
 from ...ports import Port
 from ...typing import BoolArray, FloatArray, IntArray
 from ..space.numbering import CUBIC_EDGES, CUBIC_FACES, MixedSpace, facet_points, tabulate
@@ -23,13 +23,6 @@ from .tissues import scatter, scatter_blocks
 Covered = Callable[[FloatArray, FloatArray], BoolArray]
 _PIECES = 6  # along each side of a facet that is covered in part
 _MORE = 2  # degrees of the rule beyond what is exact on plane facets: the measure of bent ones is no polynomial
-
-
-def facet_normals(points: FloatArray, facets: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Unit normals (k, 3), in the facets' own orientation, and areas (k,) [m^2]."""
-    cross = triangle_normals(points, facets)
-    length = np.linalg.norm(cross, axis=1)
-    return cross / length[:, None], length / 2
 
 
 def under_rectangle(length: float, width: float) -> Covered:

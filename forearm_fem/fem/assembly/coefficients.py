@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
 
+from ...geometry.limb.thickness import Stretch
 from ...scenario.elements import FoamUnderside, Supports
 from ...scenario.tissues import Membrane, Patch
 from ...tissue import Tissue
 from ...typing import ComplexArray, FloatArray
+from .thickness import factor, unmarked
 
 # Scalar functions of frequency that multiply the operator's real matrices.
 
@@ -45,6 +48,22 @@ class Polynomial:
         """See :class:`Coefficient`."""
         terms = [complex(self.at(np.array(omega0))), 1j * self.rate - 2 * omega0 * self.inertia, -self.inertia]
         return np.array((terms + [0.0] * n)[: n + 1], dtype=complex)
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """theta = factor inner(omega)."""
+
+    factor: float
+    inner: Coefficient
+
+    def at(self, omega: FloatArray) -> ComplexArray:
+        """See :class:`Coefficient`."""
+        return np.asarray(self.factor * self.inner.at(omega))
+
+    def taylor(self, omega0: float, n: int) -> ComplexArray:
+        """See :class:`Coefficient`."""
+        return np.asarray(self.factor * self.inner.taylor(omega0, n))
 
 
 @dataclass(frozen=True)
@@ -82,6 +101,8 @@ def kelvin_voigt_like(coefficient: Coefficient, omega: float) -> Coefficient:
     """A spring and dashpot of the same size at ``omega`` [rad/s]; a polynomial as it is."""
     if is_polynomial(coefficient):
         return coefficient
+    if isinstance(coefficient, Scaled):
+        return Scaled(coefficient.factor, kelvin_voigt_like(coefficient.inner, omega))
     value = complex(coefficient.at(np.array(omega)))
     return Polynomial(max(value.real, 0.0), value.imag / omega)
 
@@ -112,14 +133,22 @@ def rate_weights(coefficients: Sequence[Coefficient], rate: float) -> FloatArray
 def grouped(coefficients: Sequence[Coefficient]) -> list[tuple[FloatArray, Coefficient]]:
     """Sums of terms, as few as A(omega) can be made of: weights (n_term,) and the coefficient of each sum.
 
-    All polynomial terms together are a constant, i omega and -omega^2; each other term stays alone.
+    All polynomial terms together are a constant, i omega and -omega^2; each other term stays with its multiples.
     """
     alone = [not is_polynomial(c) for c in coefficients]
     about_zero = [np.zeros(3) if out else c.taylor(0.0, 2) for c, out in zip(coefficients, alone, strict=True)]
     units = (Polynomial(constant=1.0), Polynomial(rate=1.0), Polynomial(inertia=1.0))
     common = zip(polynomial_weights(np.array(about_zero)), units, strict=True)
-    others = zip(np.eye(len(alone))[alone], [c for c, out in zip(coefficients, alone, strict=True) if out], strict=True)
-    return [(weights, c) for weights, c in common if weights.any()] + list(others)
+    others = list[tuple[FloatArray, Coefficient]]()
+    for k in np.flatnonzero(alone).tolist():
+        scaled = coefficients[k]
+        inner, share = (scaled.inner, scaled.factor) if isinstance(scaled, Scaled) else (scaled, 1.0)
+        weights = next((w for w, c in others if c == inner), None)
+        if weights is None:
+            weights = np.zeros(len(alone))
+            others.append((weights, inner))
+        weights[k] = share
+    return [(weights, c) for weights, c in common if weights.any()] + others
 
 
 # Coefficients of the operator's terms, by name: the affine parameters of a model.
@@ -128,12 +157,22 @@ _ONE, _NO_PATCH = Polynomial(1.0), Patch()
 
 
 def term_coefficient(
-    name: str, tissues: Mapping[str, Tissue], supports: Supports, membrane: Membrane, patch: Patch = _NO_PATCH
+    name: str,
+    tissues: Mapping[str, Tissue],
+    supports: Supports,
+    membrane: Membrane,
+    patch: Patch = _NO_PATCH,
+    stretches: Mapping[str, Stretch] = MappingProxyType({}),
 ) -> Coefficient:
     """theta(omega) of a term: "shear fat", "mass fat", "dashpots fat", "foam", "skin tension" and the like.
 
-    Raises KeyError for a name that no term has.
+    Those of other thicknesses (:mod:`.thickness`) take the ``stretches`` of tissues, by default none. Raises KeyError
+    for a name that no term has.
     """
+    name, powers = unmarked(name)
+    if powers is not None:
+        inner = term_coefficient(name, tissues, supports, membrane, patch)
+        return Scaled(factor(powers, stretches.get(name.partition(" ")[2], Stretch())), inner)
     whole: dict[str, Coefficient] = {
         "skin mass": Polynomial(inertia=membrane.mass),
         "skin tension": Polynomial(membrane.tension),
@@ -154,6 +193,8 @@ def term_coefficient(
 def _of_tissue(kind: str, tissue: Tissue) -> Coefficient:
     if kind == "shear":
         return tissue.modulus
+    if kind in ("incompressibility", "compression"):
+        return _ONE
     return {"mass": Polynomial(inertia=tissue.density), "dashpots": _dashpots(tissue)}[kind]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -36,6 +36,7 @@ from .boundary import (
 )
 from .coefficients import Coefficient, is_polynomial, term_coefficient
 from .operator import AffineOperator, affine_operator
+from .thickness import Motion, thickness_terms, unmarked
 from .tissues import TissueMatrices, constrained_matrices
 
 _NO_PATCH = Patch()
@@ -80,8 +81,12 @@ def build_model(
     *,
     element: str = "P2",
     patch: Patch = _NO_PATCH,
+    motion: Motion | None = None,
 ) -> ForearmModel:
-    """Assemble everything; raises GeometryError for contacts that the mesh cannot carry, and a patch beside it."""
+    """Assemble everything; with ``motion`` terms of other thicknesses as well.
+
+    Raises GeometryError for contacts that the mesh cannot carry, and a patch beside it.
+    """
     orders = element_orders(mesh, ports, element)
     space, kept = orders.high, _constraints(orders, ports, supports)
     rules = LinearConstraints(orders.carried(kept.transform), kept.masters)
@@ -94,14 +99,40 @@ def build_model(
     for name, part in zip(names, parts, strict=True):
         displacement += [(f"shear {name}", part.shear), (f"mass {name}", part.mass)]
     displacement += _boundaries(space, supports, membrane, patch, rules.transform)
+    more = dict[str, csr_array]()
+    if motion is not None:
+        ends = {name: matrix for name, matrix in displacement if name.startswith("dashpots ")}
+        more = thickness_terms(
+            motion, {**_by_tissue(names, parts), **ends}, lambda other: _moved(orders, kept, rules, supports, other)
+        )
     operator = _with_pressure(
-        names, parts, tissues, displacement, lambda name: term_coefficient(name, tissues, supports, membrane, patch)
-    )
+        names, parts, tissues, displacement, lambda name: term_coefficient(name, tissues, supports, membrane, patch),
+        more,
+    )  # fmt: skip
     functionals = np.zeros((operator.n, len(ports)))
     for i, port in enumerate(ports):
         functionals[: operator.n_displacements, i] = _functional(space, port, rules)
     shares = np.array([force_share(space, p) for p in ports])
     return ForearmModel(space, rules, operator, ports, functionals, shares)
+
+
+def _by_tissue(names: Sequence[str], parts: Sequence[TissueMatrices]) -> dict[str, csr_array]:
+    """Matrices of all tissues by what they are, such as "shear fat" and "divergence fat"."""
+    kinds = {"shear": "shear", "mass": "mass", "divergence": "incompressibility", "pressure_mass": "compression"}
+    return {f"{kind} {name}": getattr(part, of) for name, part in zip(names, parts, strict=True)
+            for of, kind in kinds.items()}  # fmt: skip
+
+
+def _moved(
+    orders: Orders, kept: LinearConstraints, rules: LinearConstraints, supports: Supports, mesh: TissueMesh
+) -> dict[str, csr_array]:
+    """The same, and the dashpots of cut ends, on a ``mesh`` whose points have moved."""
+    there = replace(orders, low=replace(orders.low, mesh=mesh), high=replace(orders.high, mesh=mesh))
+    names = mesh.region_names
+    found = _by_tissue(names, [constrained_matrices(there, r, kept.transform) for r in range(len(names))])
+    if supports.ends == "absorb" and "end" in mesh.facets:
+        found |= {name: congruent(m, rules.transform) for name, m in _dashpots(there.high, mesh.facets["end"])}
+    return found
 
 
 def readings(model: ForearmModel, ports: Sequence[Port]) -> csr_array:
@@ -206,17 +237,33 @@ def _with_pressure(
     tissues: Mapping[str, Tissue],
     displacement: Matrices,
     coefficient: Callable[[str], Coefficient],
+    more: Mapping[str, csr_array],
 ) -> AffineOperator:
-    """Saddle system [[K, -B^T], [-B, -M_p/bulk]] with pressures scaled to the size of the stiffness."""
+    """Saddle system [[K, -B^T], [-B, -M_p/bulk]] with pressures scaled to the size of the stiffness; ``more`` terms are
+    those of other thicknesses."""
     divergence = added([part.divergence for part in parts])
     storage = added([part.pressure_mass / tissues[name].bulk for name, part in zip(names, parts, strict=True)])
     n_p, n_u = divergence.shape
     scale = _pressure_scale([(m, coefficient(name)) for name, m in displacement], divergence)
     whole: Matrices = [(name, _enlarged(m, n_u + n_p)) for name, m in displacement]
-    coupling = csr_array(block_array([[None, -scale * divergence.T], [-scale * divergence, None]]))
-    whole.append(("incompressibility", coupling))
-    compressed = csr_array(block_array([[csr_array((n_u, n_u)), None], [None, -(scale**2) * storage]]))
-    whole.append(("compression", compressed))
+
+    def coupling(part: csr_array) -> csr_array:
+        """Of pressures and displacements."""
+        return csr_array(block_array([[None, -scale * part.T], [-scale * part, None]]))
+
+    def compressed(part: csr_array) -> csr_array:
+        """Of pressures."""
+        return csr_array(block_array([[csr_array((n_u, n_u)), None], [None, -(scale**2) * part]]))
+
+    whole += [("incompressibility", coupling(divergence)), ("compression", compressed(storage))]
+    for name, m in more.items():
+        kind, _, tissue = unmarked(name)[0].partition(" ")
+        if kind == "incompressibility":
+            whole.append((name, coupling(m)))
+        elif kind == "compression":
+            whole.append((name, compressed(m / tissues[tissue].bulk)))
+        else:
+            whole.append((name, _enlarged(m, n_u + n_p)))
     return affine_operator([(name, m, coefficient(name)) for name, m in whole], n_u, scale)
 
 

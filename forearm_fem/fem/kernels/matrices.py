@@ -24,13 +24,6 @@ class SymmetricMatrix:
 
     half: csr_array
 
-    @classmethod
-    def from_upper(cls, upper: csr_array) -> SymmetricMatrix:
-        """The symmetric matrix with this upper triangle, diagonal included."""
-        row = np.repeat(np.arange(upper.shape[0]), np.diff(upper.indptr))
-        data = np.where(upper.indices == row, upper.data / 2, upper.data)
-        return cls(csr_array((data, upper.indices, upper.indptr), shape=upper.shape))
-
     @cached_property
     def _transposed(self) -> csc_array:
         return csc_array(self.half.T)

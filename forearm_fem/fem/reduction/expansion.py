@@ -223,11 +223,11 @@ class Expander:
         """
         most, rate = self._options.rate_derivatives, expansion_rate(frequency)
         stored = self._store.chunks()
-        tell(progress, "ordering", 0, 1)
+        tell(progress, "ordering of unknowns", 0, 1)
         solver = self._ready(float(frequency[-1]))
-        tell(progress, "ordering", 1, 1)
+        tell(progress, "ordering of unknowns", 1, 1)
         self._space = space = RateSpace(solver, self.model.functionals, rate, stored)
-        tell(progress, "derivatives", 0, most)
+        tell(progress, "reduced model", 0, most)
         reduced, derivatives = empty_model(self.model), 0
         for number in range(-(-most // _AT_ONCE)):
             chunk = stored[number] if number < len(stored) else space.more(min(_AT_ONCE, most - derivatives))
@@ -236,7 +236,7 @@ class Expander:
             if not chunk.columns.shape[1]:
                 break
             reduced, derivatives = with_last_columns(reduced, self.model, chunk.columns), chunk.derivatives
-            tell(progress, "derivatives", derivatives, most)
+            tell(progress, "reduced model", derivatives, most)
             if tolerance is not None and derivatives >= _AT_LEAST:
                 if derivatives == _AT_LEAST and sharp_modes(reduced, frequency, _SHARP) >= _SEVERAL:
                     return self._about_rate_with_care(frequency, _SURE * tolerance, progress)
@@ -267,7 +267,7 @@ class Expander:
                 change = 0.0
                 break
             reduced = with_last_columns(reduced, self.model, chunk.columns)
-            tell(progress, "derivatives", chunk.derivatives, chunk.derivatives)
+            tell(progress, "reduced model", chunk.derivatives, chunk.derivatives)
             if chunk.derivatives >= _AT_LEAST:
                 change = largest_change(self.model, reduced, reduced.lower(), frequency)
         made = ReducedSweepState(

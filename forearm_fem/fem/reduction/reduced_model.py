@@ -21,6 +21,7 @@ from ...typing import ComplexArray, FloatArray, IntArray
 from ..assembly.coefficients import Coefficient, grouped, polynomial_of
 from ..assembly.model import ForearmModel
 from ..assembly.operator import AffineOperator
+from ..assembly.thickness import follows_thickness
 from .basis import Basis, Columns, inverse_or_zero, orthonormal_extension, real_columns
 
 _DROP = 1e-5  # of a snapshot's length: weaker directions carry what single-precision solves leave, and cost time
@@ -215,7 +216,12 @@ def condensed(coupling: FloatArray, storage: FloatArray) -> FloatArray:
 
 
 def compressible(operator: AffineOperator) -> bool:
-    """True if all pressures compress something: where tissue is incompressible their energy says nothing of them."""
+    """True if all pressures compress something: where tissue is incompressible their energy says nothing of them.
+
+    Nor does it where layers change their thickness, and pressures their divergences.
+    """
+    if follows_thickness([t.name for t in operator.terms]):
+        return False
     storage = next(t for t in operator.terms if t.name == _STORAGE)
     return bool((operator.term_matrix(storage).diagonal()[operator.n_displacements :] < 0).all())
 

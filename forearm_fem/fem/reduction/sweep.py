@@ -179,7 +179,7 @@ def _certified(
         worst = work.most_doubtful(made, frequency)
         if worst is None:
             return made
-        tell(progress, "certificates", len(made.certificates), len(made.certificates) + 1)
+        tell(progress, "check of the reduced model", len(made.certificates), len(made.certificates) + 1)
         elsewhere = max((error_at(made.reduced, work.model, f, c) for f, c in truths.items()), default=0.0)
         found = work.foreseen(made, worst, tolerance) or work.compared(made, worst, tolerance)
         if found is not None:
@@ -188,7 +188,7 @@ def _certified(
         compliance = np.asarray((work.model.functionals.T @ truth.series[0]) * work.model.shares)
         found = replace(certified(made.reduced, work.model, compliance, worst, len(used)), elsewhere=elsewhere)
         made = made.with_certificate(found).after(truth)
-        tell(progress, "certificates", len(made.certificates), len(made.certificates))
+        tell(progress, "check of the reduced model", len(made.certificates), len(made.certificates))
         if found.bound <= tolerance or elsewhere > tolerance or len(used) >= options.max_expansions:
             return made
         truths[worst.frequency] = compliance

@@ -293,11 +293,12 @@ _PLANES = ("symmetry x", "symmetry y")
 @dataclass(frozen=True)
 class GridPlaces:
     """A square of side 2 ``reach`` [m] around each of the ``centres`` (n, 2) [m] in the device's frame, with ``count``
-    Chebyshev points along each side."""
+    Chebyshev points along each side; read along the normals and, with ``turned``, from above as well."""
 
     centres: tuple[tuple[float, float], ...]
     reach: float = _REACH
     count: int = _COUNT
+    turned: bool = False
 
     @property
     def places(self) -> FloatArray:
@@ -307,7 +308,10 @@ class GridPlaces:
         return np.asarray((np.array(self.centres)[:, None] + around).reshape(-1, 2))
 
     def hold(self, scenario: Scenario) -> bool:
-        """True if each point of a ``scenario``'s grid lies in the square of the centre of its number."""
+        """True if each point of a ``scenario``'s grid lies in the square of the centre of its number, and is read in a
+        direction that is known."""
+        if scenario.grid.direction == "vertical" and not self.turned:
+            return False
         apart = self._apart(scenario)
         return apart is not None and bool(np.abs(apart).max() <= 1 + 1e-9)
 
@@ -333,12 +337,13 @@ class GridPlaces:
 
 
 def grid_places(scenario: Scenario, mesh: TissueMesh) -> tuple[GridPlaces, tuple[Port, ...]] | None:
-    """Around each point of the ``scenario``'s grid, with ports on the skin of the ``mesh`` that read the normal there.
+    """Around each point of the ``scenario``'s grid, with ports on the skin of the ``mesh`` that read the normal there,
+    then on limbs that bend the vertical.
 
     None where some place is off the volar skin, where symmetry planes halve the limb, and for grids of more points than
     are worth keeping.
     """
-    found = GridPlaces(tuple(scenario.grid.places))
+    found = GridPlaces(tuple(scenario.grid.places), turned=not isinstance(scenario.limb, SlabLimb))
     if len(found.places) > _MOST or any(len(mesh.facets.get(name, ())) for name in _PLANES):
         return None
     skin = skin_of(scenario, mesh)
@@ -346,4 +351,6 @@ def grid_places(scenario: Scenario, mesh: TissueMesh) -> tuple[GridPlaces, tuple
         ports = [landed("grid", xy, skin) for xy in turned(scenario, found.places)]
     except GeometryError:
         return None
+    if found.turned:
+        ports += [(place, (0.0, 0.0, 1.0)) for place, _ in ports]
     return found, tuple(Port(str(k + 1), "point", *places) for k, places in enumerate(ports))

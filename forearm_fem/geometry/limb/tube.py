@@ -14,7 +14,7 @@ from scipy.special import ellipe
 from ...errors import GeometryError
 from ...scenario import Scenario
 from ...scenario.limb import CylinderLimb, ForearmLimb, LayerThickness
-from ...typing import FloatArray, IntArray
+from ...typing import BoolArray, FloatArray, IntArray
 from ..mesh.refinement import Middle, midpoints
 from ..mesh.tissue_mesh import EDGES, SIDES, Bends, TissueMesh, bent_jacobians, boundary_faces, keys, straight_jacobians
 
@@ -215,16 +215,20 @@ def bent(mesh: TissueMesh, tube: Tube) -> TissueMesh:
     Edges of tetrahedra whose determinant would fall below a share of what it was, anywhere, stay straight.
     """
     mesh = replace(mesh, bends=_bends(mesh, tube))
+    while (folded := folded_edges(mesh)).any():
+        mesh = replace(mesh, bends=mesh.bends.chosen(~folded))
+    return mesh
+
+
+def folded_edges(mesh: TissueMesh) -> BoolArray:
+    """True for bends (k,) of elements whose determinant falls below a share of what it is with straight edges."""
     straight, n = straight_jacobians(mesh.points, mesh.tetrahedra), len(mesh.points)
-    while True:
-        offsets = mesh.bends.of(mesh.tetrahedra)
-        some = np.flatnonzero(offsets.any(axis=(1, 2)))
-        determinants = np.linalg.det(bent_jacobians(straight[some], offsets[some], _PROBES))
-        folded = some[determinants.min(axis=1) < _LEAST * np.linalg.det(straight[some])]
-        if not len(folded):
-            return mesh
-        touched = keys(mesh.tetrahedra[folded][:, EDGES].reshape(-1, 2), n)
-        mesh = replace(mesh, bends=mesh.bends.chosen(~np.isin(keys(mesh.bends.edges, n), touched)))
+    offsets = mesh.bends.of(mesh.tetrahedra)
+    some = np.flatnonzero(offsets.any(axis=(1, 2)))
+    determinants = np.linalg.det(bent_jacobians(straight[some], offsets[some], _PROBES))
+    folded = some[determinants.min(axis=1, initial=np.inf) < _LEAST * np.linalg.det(straight[some])]
+    touched = keys(mesh.tetrahedra[folded][:, EDGES].reshape(-1, 2), n)
+    return np.asarray(np.isin(keys(mesh.bends.edges, n), touched))
 
 
 def bent_middles(tube: Tube) -> Middle:

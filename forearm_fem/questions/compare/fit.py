@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
@@ -26,11 +27,23 @@ Values = Mapping[str, float]
 Model = Callable[[Values], "TransferMatrix | ComplexArray"]
 Gradient = Callable[[Values], Mapping[str, ComplexArray]]
 
-SCALE, DELAY = "scale", "delay"
+SCALE, DELAY, GAIN = "scale", "delay", "gain."
 FALLBACK_NOISE = 0.05  # of the entries' rms, where no deviation is known
 _VAGUE = 0.25  # of the allowed range: a combination known no better than this is called unknown
 _MUCH = 0.3  # of the data's norm: a misfit that is said where nothing tells it from noise
 _STEP = 1e-4  # of the allowed range, for differences
+_APART = 2.0  # times what the model leaves of the other actuators' columns: a gain of its own is worth a try
+
+
+def is_calibration(name: str) -> bool:
+    """True for scale, delay and gains of single actuators, which :func:`adjusted` puts onto a model's G."""
+    return name in (SCALE, DELAY) or name.startswith(GAIN)
+
+
+def adjusted(g: ComplexArray, values: Values, omega: FloatArray, inputs: Sequence[str]) -> ComplexArray:
+    """G (n_frequency, n_out, n_in) times scale, gain of each of ``inputs`` and exp(-i omega delay)."""
+    turn = values.get(SCALE, 1.0) * np.exp(-1j * omega * values.get(DELAY, 0.0))
+    return np.asarray(g * turn[:, None, None] * np.array([values.get(f"{GAIN}{n}", 1.0) for n in inputs]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +56,7 @@ class FitResult:
     ``unknown`` are combinations that the data do not determine, ``at_bound`` names of parameters that ended
     on a bound. ``e_band`` is the misfit's norm over the data's. ``n_data`` counts real numbers.
 
+    ``left`` is the misfit's norm over the data's by actuator.
     ``scatter`` [-] is what deviations, stated or taken where none are, had to be multiplied with for the misfit;
     ``systematic`` (k, k) the share of ``covariance`` that the model errs by, which more data leave as it is.
     """
@@ -64,6 +78,7 @@ class FitResult:
     message: str
     scatter: float = 1.0
     systematic: FloatArray | None = None
+    left: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
     def identified(self) -> bool:
@@ -86,6 +101,12 @@ class FitResult:
                 f"the model leaves {100 * self.e_band:.0f} % of the data's norm unexplained, which intervals take for "
                 "noise: no deviations say so; start elsewhere, or the model is wrong",
             )
+        worst = max(self.left, key=self.left.__getitem__, default="")
+        others = [x for n, x in self.left.items() if n != worst]
+        if others and self.left[worst] > _APART * float(np.median(others)) and f"{GAIN}{worst}" not in self.values:
+            misfit = (*misfit, f"the model leaves {100 * self.left[worst]:.2g} % of {worst}'s column, of others' "
+                      f"{100 * float(np.median(others)):.2g} %: fit again with `gains`, one for each actuator, in "
+                      "place of scale")  # fmt: skip
         stuck = () if self.converged else (f"the fit did not converge: {self.message}",)
         return (*(d.sentence for d in self.unknown), *ends, *misfit, *stuck)
 
@@ -106,11 +127,12 @@ def fit(
 
     ``model`` maps values by name to G (n_frequency, n_out, n_in) on ``measured``'s frequencies, ports and unit;
     ``gradient`` to its derivatives by name (from adjoints, say), differences are taken without it. Parameters called
-    "scale" and "delay" are applied here, times scale exp(-i omega delay). Where some entries have a standard deviation
-    those without are left out; where none has, each is weighted as if it were ``fallback_noise`` of the entries' rms,
-    and the covariance then follows from the misfit.
-    Phases make local minima: with ``starts`` > 1 the fit is repeated from other places in the ranges and the best is
-    kept. ``progress`` counts evaluations. Raises DataError without usable data or for fewer data than parameters.
+    "scale", "gain.NAME" of an input and "delay" are applied here (:func:`adjusted`).
+
+    Where some entries have a standard deviation those without are left out; where none has, each is weighted as if it
+    were ``fallback_noise`` of the entries' rms, and the covariance then follows from the misfit. Phases make local
+    minima: with ``starts`` > 1 the fit is repeated from other places in the ranges and the best is kept. ``progress``
+    counts evaluations. Raises DataError without usable data or for fewer data than parameters.
     """
     problem = _Problem.of(model, measured, tuple(parameters), gradient, fallback_noise, progress)
     places = [np.array([p.to_unit(p.start) for p in problem.parameters])]
@@ -187,15 +209,18 @@ class _Problem:
         return self._whitened(self._scaled(self._computed(values), values) - self.measured.values)
 
     def _computed(self, values: Values) -> ComplexArray:
-        computed = self.model({n: v for n, v in values.items() if n not in (SCALE, DELAY)})
+        computed = self.model({n: v for n, v in values.items() if not is_calibration(n)})
         array = computed.values if isinstance(computed, TransferMatrix) else np.asarray(computed)
         if array.shape != self.measured.values.shape:
             raise DataError(f"the model gives shape {array.shape}, the measurement has {self.measured.values.shape}")
         return array
 
     def _scaled(self, array: ComplexArray, values: Values) -> ComplexArray:
-        turn = np.exp(-1j * self.measured.omega * values.get(DELAY, 0.0))
-        return np.asarray(array * (values.get(SCALE, 1.0) * turn)[:, None, None])
+        return adjusted(array, values, self.measured.omega, self._inputs)
+
+    @property
+    def _inputs(self) -> list[str]:
+        return [p.name for p in self.measured.inputs]
 
     def _whitened(self, difference: ComplexArray) -> FloatArray:
         flat = difference[self.used] * self.weight
@@ -206,11 +231,14 @@ class _Problem:
         if self.gradient is None:
             return np.stack([self._difference(place, k, central) for k in range(len(place))], axis=1)
         values = self.values(place)
-        inner = {n: v for n, v in values.items() if n not in (SCALE, DELAY)}
+        inner = {n: v for n, v in values.items() if not is_calibration(n)}
         slopes = {n: self._scaled(g, values) for n, g in self.gradient(inner).items()}
         whole = self._scaled(self._computed(values), values)
         slopes[SCALE] = whole / values.get(SCALE, 1.0)
         slopes[DELAY] = -1j * self.measured.omega[:, None, None] * whole
+        for k, name in enumerate(self._inputs):
+            gain = values.get(f"{GAIN}{name}", 1.0)
+            slopes[f"{GAIN}{name}"] = whole * (np.arange(whole.shape[2]) == k) / gain
         rows = [slopes[p.name] * (p.span * (values[p.name] if p.log else 1.0)) for p in self.parameters]
         return np.stack([self._whitened(r) for r in rows], axis=1)
 
@@ -325,6 +353,9 @@ def _result(problem: _Problem, place: FloatArray, converged: bool, message: str)
     values = problem.values(place)
     whole = np.where(problem.used, problem.measured.values, 0)
     misfit = residual / np.concatenate([problem.weight, problem.weight])
+    apart = np.zeros_like(whole)
+    apart[problem.used] = misfit[: len(misfit) // 2] + 1j * misfit[len(misfit) // 2 :]
+    sizes = [np.linalg.norm(x, axis=(0, 1)) for x in (apart, whole)]
     return FitResult(
         parameters=parameters,
         values=values,
@@ -346,6 +377,7 @@ def _result(problem: _Problem, place: FloatArray, converged: bool, message: str)
         converged=converged,
         message=message,
         scatter=math.sqrt(inflate),
+        left=MappingProxyType({n: float(a / b) for n, a, b in zip(problem._inputs, *sizes, strict=True) if b > 0}),
     )
 
 

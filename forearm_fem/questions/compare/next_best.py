@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...typing import ComplexArray, FloatArray
-from .fit import DELAY, SCALE, FitResult
+from .fit import FitResult, adjusted, is_calibration
 
 _STEP = 1e-3  # of the allowed range, for central differences
 _ROUNDING = 1e-14  # of the largest variance
@@ -71,14 +71,15 @@ def candidates_of(frequency: FloatArray, outputs: Sequence[str], bands: int = 3)
 
 
 def next_best(
-    result: FitResult, answer: Answer, frequency: FloatArray, outputs: Sequence[str], noise: float, bands: int = 3
-) -> NextBest:
+    result: FitResult, answer: Answer, frequency: FloatArray, outputs: Sequence[str], inputs: Sequence[str],
+    noise: float, bands: int = 3,
+) -> NextBest:  # fmt: skip
     """Best next measurement after a fit.
 
-    ``answer`` gives G (n, n_output, n_input) of all ``outputs`` at ``frequency`` (n,) [Hz] for values by name, without
-    scale and delay; ``noise`` is the standard deviation of one entry as the data of ``result`` state theirs, or as the
-    fit took it where they state none, in G's unit. The widest interval is that which is largest beside its parameter's
-    allowed range.
+    ``answer`` gives G (n, n_output, n_input) of all ``outputs`` and ``inputs`` at ``frequency`` (n,) [Hz] for values by
+    name, without scale, gains and delay; ``noise`` is the standard deviation of one entry as the data of ``result``
+    state theirs, or as the fit took it where they state none, in G's unit. The widest interval is that which is
+    largest beside its parameter's allowed range.
     """
     span = np.array([p.span for p in result.parameters])
     before = result.covariance / np.outer(span, span)
@@ -87,7 +88,7 @@ def next_best(
     spreads, directions = np.linalg.eigh(before - kept)
     spreads = np.maximum(spreads, _ROUNDING * spreads[-1])
     known = (directions / spreads) @ directions.T
-    slopes = _slopes(result, answer, frequency) * (math.sqrt(2) / (noise * max(result.scatter, _ROUNDING)))
+    slopes = _slopes(result, answer, frequency, inputs) * (math.sqrt(2) / (noise * max(result.scatter, _ROUNDING)))
     best: tuple[float, PossibleMeasurement] | None = None
     for candidate in candidates_of(frequency, outputs, bands):
         part = slopes[:, candidate.rows, list(outputs).index(candidate.output)].reshape(len(span), -1)
@@ -100,14 +101,14 @@ def next_best(
     return NextBest(result.parameters[widest].name, best[1], min(best[0], 1.0))
 
 
-def _slopes(result: FitResult, answer: Answer, frequency: FloatArray) -> ComplexArray:
+def _slopes(result: FitResult, answer: Answer, frequency: FloatArray, inputs: Sequence[str]) -> ComplexArray:
     """Derivatives (k, n, n_output, n_input) of G by each parameter over its allowed range."""
-    values, omega = dict(result.values), 2 * np.pi * np.asarray(frequency)[:, None, None]
+    values, omega = dict(result.values), 2 * np.pi * np.asarray(frequency)
 
     def whole(changed: Mapping[str, float]) -> ComplexArray:
         """G of the model at ``changed`` values, scale and delay included."""
-        turn = np.exp(-1j * omega * changed.get(DELAY, 0.0)) * changed.get(SCALE, 1.0)
-        return np.asarray(answer({n: v for n, v in changed.items() if n not in (SCALE, DELAY)}) * turn)
+        g = answer({n: v for n, v in changed.items() if not is_calibration(n)})
+        return adjusted(g, changed, omega, inputs)
 
     rows = []
     for p in result.parameters:

@@ -15,11 +15,11 @@ from scipy.stats.qmc import LatinHypercube
 from ...accuracy.estimates import quadrature_estimate
 from ...device.loop import close_loop
 from ...engines.arm_meshes import ArmMeshes, arm_meshes
-from ...engines.engine import Engine
-from ...engines.layered import LayeredEngine, flat_disc, flat_layers, flat_surface
+from ...engines.layered import LayeredEngine, between_ports, flat_disc, flat_layers, flat_surface
 from ...engines.parametric import ParametricModel, parametric_model
+from ...engines.simulation import Engine
 from ...errors import ScenarioError
-from ...geometry.device.layout import layers_of
+from ...geometry.device.layout import layers_of, planform_ports
 from ...layered import layered_compliance
 from ...layered.response import scattered_orders
 from ...ports import Port
@@ -41,8 +41,8 @@ class Parameter:
     """A number to be found between ``lower`` and ``upper``, from ``start``; ``log`` fits its logarithm.
 
     ``stage`` orders the fit: parameters of stage 0 are fitted first, with the others at their start, then
-    those of stages 0 and 1, and so on. The names "scale" and "delay" [s] are multiplied onto the model by
-    :func:`fit`.
+    those of stages 0 and 1, and so on. Scale, delay [s] and gains of actuators are multiplied onto the
+    model by :func:`fit`.
     """
 
     name: str
@@ -189,12 +189,10 @@ class LayeredBetween:
             surface=flat_surface(scenario.tissues), tolerance=self.tolerance, terms=_TERMS,
             orders=max(scattered_orders(discs) - _FEWER, 0),
         )  # fmt: skip
-        values = np.full((len(frequency), len(ports), len(ports)), np.nan + 0j)
-        values[:, :, : len(contacts)] = result.values
-        values[:, : len(contacts)] = result.values.swapaxes(1, 2)
         estimate = quadrature_estimate(
             frequency, result.error, "last terms and orders of the tractions under rigid discs, quadrature"
         )
+        values = between_ports(result.values, ports)
         return Compliance(frequency, values, ports, (estimate,), provenance={"engine": "layered"})
 
 
@@ -237,7 +235,7 @@ class LessElements:
 
 def _pool(scenario: Scenario, parameters: Sequence[Parameter]) -> list[Scenario]:
     """The arms that a fit's finite elements are reduced for, the scene first."""
-    skin = [p for p in parameters if not _lumped(p.name) and p.name not in ("scale", "delay")]
+    skin = [p for p in parameters if not _lumped(p.name) and not p.name.startswith(("scale", "delay", "gain."))]
     if geometry := [p.name for p in skin if not p.name.startswith("tissues.")]:
         raise ScenarioError(
             f"{geometry[0]}: a mesh has one geometry, so that a fit on finite elements cannot look for it; leave it "
@@ -254,8 +252,9 @@ def _pool(scenario: Scenario, parameters: Sequence[Parameter]) -> list[Scenario]
 
 def common_parameters(scenario: Scenario, names: Sequence[str]) -> tuple[Parameter, ...]:
     """Parameters with sourced ranges (physics_data.md 4 and 9) for short names: skin.mu, skin.eta, fat.mu, ...,
-    coil.moving_mass, cone.mass, coil.resonance, coil.quality, fat.thickness, plus scale and delay (stage
-    0). ScenarioError for names that are none, such as those of tissues that the limb has not, and for repeated ones."""
+    coil.moving_mass, cone.mass, coil.resonance, coil.quality, fat.thickness, plus scale, delay and gain.A1, ... (stage
+    0). ScenarioError for names that are none, such as those of tissues that the limb has not, and for repeated ones.
+    """
     known = _known(scenario)
     if repeated := [n for n in dict.fromkeys(names) if list(names).count(n) > 1]:
         raise ScenarioError(f"{repeated[0]} is named twice; name each parameter of a fit once")
@@ -277,6 +276,8 @@ def _known(scenario: Scenario) -> dict[str, Parameter]:
         "scale": Parameter("scale", 1.0, 0.2, 5.0, log=True, stage=0),
         "delay": Parameter("delay", 0.0, -2e-3, 2e-3, stage=0, unit="s"),
     }
+    found |= {f"gain.{p.name}": Parameter(f"gain.{p.name}", 1.0, 0.2, 5.0, log=True, stage=0)
+              for p in planform_ports(scenario)[1]}  # fmt: skip
     if isinstance(device := scenario.device, VoltageDevice):
         coil, cone = device.coil, device.cone
         found |= {

@@ -20,7 +20,7 @@ from ... import __version__
 from ...files.declaration import arbitrary_gain
 from ...metrics.common_ground import CommonGround
 from ...ports import positions
-from ...rendering.limits import counted_points, not_counted_words
+from ...rendering.drives import counted_points, not_counted_words
 from ...show.page import Block, Page, Section, embedded
 from ...show.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, micro, panels, sign, single, styled
 from ...store.folder import atomic_path, set_kind, write_text
@@ -80,13 +80,17 @@ def _next(c: Comparison, asked: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Commands for the two files where they are known, else with a word to replace."""
     files = [str((asked.get(side) or [None])[0] or side) for side in "AB"]
     scenes = [p["scenario"]["name"] if isinstance(p.get("scenario"), Mapping) else "" for p in c.ground.provenance]
-    measured = shlex.quote(files[0] if scenes[1] and not scenes[0] else files[1])
-    scene = shlex.quote(scenes[0] or scenes[1] or "SCENARIO")
+    side = 0 if scenes[1] and not scenes[0] else 1
+    measured, scene = shlex.quote(files[side]), shlex.quote(scenes[0] or scenes[1] or "SCENARIO")
+    said = ((asked.get("AB"[side]) or [None, None])[1:] or [None])[0] or {}
+    plain = {k: v for k, v in said.items() if isinstance(v, str | int | float) and not isinstance(v, bool)}
+    declared = "".join(f" --declare {shlex.quote(f'{k}={v!r}')}" for k, v in plain.items())
+    tissues = "skin.mu fat.mu muscle.mu"
     return [
-        ("Fit the model", f"forearm-fem fit {scene} {measured} skin.mu fat.mu scale delay"),
-        ("Get drives and S of one of them", f"forearm-fem render {measured}"),
+        ("Fit tissue and gains", f"forearm-fem fit {scene} {measured} {tissues} gains delay{declared}"),
+        ("Get drives and S of one of them", f"forearm-fem render {measured} --scenario {scene}{declared}"),
         ("Explore it in a browser", f"forearm-fem workbench {measured}"),
-    ]
+    ]  # fmt: skip
 
 
 def console_lines(c: Comparison, folder: Path) -> list[str]:

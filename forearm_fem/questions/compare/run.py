@@ -12,9 +12,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ...device.loop import close_loop
-from ...engines.engine import Engine
 from ...engines.parametric import BEYOND, ParametricModel
-from ...errors import DataError, ForearmError
+from ...engines.simulation import Engine
+from ...errors import DataError, ForearmError, ScenarioError
 from ...files.declaration import Declaration, arbitrary_gain, declared_by
 from ...files.read import read
 from ...geometry.device.layout import planform_ports
@@ -30,7 +30,17 @@ from ...store.text import plain
 from ...transfer import UNITS, ErrorEstimate, TransferMatrix
 from ..predict.arm import perturbed_answers
 from .compare import Comparison, compare
-from .fit import DELAY, FALLBACK_NOISE, SCALE, FitResult, fit, moved_by, with_model_error, with_scattered_error
+from .fit import (
+    FALLBACK_NOISE,
+    GAIN,
+    SCALE,
+    FitResult,
+    fit,
+    is_calibration,
+    moved_by,
+    with_model_error,
+    with_scattered_error,
+)  # fmt: skip
 from .next_best import NextBest, next_best
 from .parameters import (
     LayeredBetween,
@@ -252,6 +262,7 @@ def run_fit(
     if folder is not None:
         check_kind(folder, "fit", asked, FIT_FILES)
     data = thinned(_load(measured, declaration, scenario), frequencies)
+    parameters = _with_gains(parameters, data)
     _check_data(scenario, data, parameters)
     chosen = common_parameters(scenario, parameters)
     inputs, outputs = all_inputs(scenario, data), data.outputs
@@ -270,7 +281,7 @@ def run_fit(
         """G of the scenario with ``values`` in place, as the data have it."""
         return answering(whole(values), data)
 
-    begun = model({p.name: p.start for p in chosen if p.name not in (SCALE, DELAY)})
+    begun = model({p.name: p.start for p in chosen if not is_calibration(p.name)})
     chosen = _rescaled(chosen, data, begun)
     result, numerics = fit(model, data, chosen, progress=progress), ""
     if reduced is not None:
@@ -280,7 +291,11 @@ def run_fit(
     reduction = float(whole(free).errors[0].band) if fem else float("nan")
     numerics = numerics or _series_note(whole(free).errors, result)
     numerical = (*_reduction_note(reduction, result), *((numerics,) if numerics else ()))
-    notes = (*_explained(data, (begun, best)), *_biased(data), *numerical, following.sentence)
+    flat = "" if fem else " (flat layers, no bone); finite elements with `--fem`"
+    notes = (
+        f"model: {engine.name}{flat}", *_explained(data, (begun, best)), *_biased(data), *numerical,
+        following.sentence, _simulated(scenario, result, fem),
+    )  # fmt: skip
     text = fit_text(result, notes)
     files = () if folder is None else _save_fit(Path(folder), asked, result, best, text, notes)
     return FitCommandResult(result, best, following, reduction, numerics, text, files, asked, notes)
@@ -293,7 +308,8 @@ def _rescaled(chosen: Sequence[Parameter], data: TransferMatrix, start: Transfer
     used = np.isfinite(data.values) if data.valid is None else data.valid & np.isfinite(data.values)
     ratio = float(np.linalg.norm(data.values[used]) / np.linalg.norm(start.values[used]))
     low, high = ratio / _ANY, ratio * _ANY
-    return tuple(replace(p, start=ratio, lower=low, upper=high) if p.name == SCALE else p for p in chosen)
+    return tuple(replace(p, start=ratio, lower=low, upper=high) 
+                 if p.name == SCALE or p.name.startswith(GAIN) else p for p in chosen)
 
 
 def _refitted(
@@ -334,7 +350,14 @@ def _with_model_errors(
 
 def _scenario_values(result: FitResult) -> dict[str, float]:
     """Scenario keys of the fitted values."""
-    return {n: v for n, v in result.values.items() if n not in (SCALE, DELAY)}
+    return {n: v for n, v in result.values.items() if not is_calibration(n)}
+
+
+def _simulated(scenario: Scenario, result: FitResult, fem: bool) -> str:
+    """The command that simulates the scene with the fitted values."""
+    set_ = [f"--set {n}={_plainly(v, 4)}" for n, v in _scenario_values(result).items()]
+    engine = [] if fem else ["--set engine=layered"]
+    return " ".join([f"simulate it: forearm-fem run {scenario.name}", *engine, *set_])
 
 
 def _unmeasured(scenario: Scenario, data: TransferMatrix) -> tuple[Port, ...]:
@@ -348,7 +371,8 @@ def _following(result: FitResult, whole: ScenarioModel, data: TransferMatrix, ou
     values = np.zeros((len(data.frequency), len(outputs), len(data.inputs)), dtype=complex)
     wide = replace(data, values=values, outputs=outputs, contacts=None, valid=None, deviation=None, errors=())
     names = [p.name for p in outputs]
-    return next_best(result, lambda v: answering(whole(v), wide).values, data.frequency, names, _noise_of(data))
+    inputs = [p.name for p in data.inputs]
+    return next_best(result, lambda v: answering(whole(v), wide).values, data.frequency, names, inputs, _noise_of(data))
 
 
 def _noise_of(data: TransferMatrix) -> float:
@@ -417,8 +441,17 @@ def _check_data(scenario: Scenario, data: TransferMatrix, parameters: Sequence[s
         raise DataError(
             f"the measured G is in {data.unit}, but device.drive = '{scenario.device.drive}' gives {unit}; {remedy}"
         )
-    if arbitrary_gain(data.provenance) and SCALE not in parameters:
+    if arbitrary_gain(data.provenance) and not any(n == SCALE or n.startswith(GAIN) for n in parameters):
         raise DataError("the measured G has an arbitrary gain, as was declared: name `scale` among the parameters")
+
+
+def _with_gains(parameters: Sequence[str], data: TransferMatrix) -> list[str]:
+    """The names, with ``gains`` as one for each actuator that was measured; ScenarioError where scale is asked, too."""
+    each = [f"{GAIN}{p.name}" for p in data.inputs]
+    named = [n for asked in parameters for n in (each if asked == "gains" else [asked])]
+    if SCALE in named and set(each) <= set(named):
+        raise ScenarioError("scale and a gain for each actuator say the same: leave scale out")
+    return named
 
 
 def all_inputs(scenario: Scenario, data: TransferMatrix) -> tuple[Port, ...]:
@@ -483,18 +516,28 @@ def thinned(measured: TransferMatrix, n: int) -> TransferMatrix:
 
 def fit_text(result: FitResult, notes: Sequence[str] = ()) -> str:
     """Table of the parameters, below it ``notes`` and what the fit says of itself."""
-    lines = ["| parameter | value | 95 % interval | unit |", "|---|---|---|---|"]
+    lines = ["| parameter | value | 95 % interval | started from | unit |", "|---|---|---|---|---|"]
     for p in result.parameters:
         low, high = result.interval[p.name]
         value = result.values[p.name]
         digits = _digits(value, high - low)
-        lines.append(f"| {p.name} | {value:.{digits}g} | {low:.{digits}g} to {high:.{digits}g} | {p.unit or '-'} |")
+        least, most = (_plainly(x, digits) for x in (low, high))
+        cells = [p.name, _plainly(value, digits), f"{least} to {most}", _plainly(p.start, 4), p.unit or "-"]
+        lines.append(f"| {' | '.join(cells)} |")
     chi = "unknown (no standard deviations)" if np.isnan(result.chi2) else f"{result.chi2:.2f}"
     lines += [
         "",
         f"reduced chi^2 {chi}; misfit {100 * result.e_band:.2g} % of the data's norm; {result.n_data} numbers.",
+        f"misfit by actuator: {', '.join(f'{n} {100 * x:.2g} %' for n, x in result.left.items())}.",
     ]
     return "\n".join([*lines, *notes, *result.sentences]) + "\n"
+
+
+def _plainly(value: float, digits: int) -> str:
+    """``value`` with as many significant ``digits``, without an exponent where it is readable so."""
+    if not (np.isfinite(value) and 1e-3 <= abs(value) < 1e6):
+        return f"{value:.{digits}g}"
+    return np.format_float_positional(value, precision=digits, fractional=False, trim="-")
 
 
 def _digits(value: float, width: float) -> int:

@@ -2,8 +2,7 @@
 
 from .candidate import ArmModel, Candidate, TabulatedArm, evaluate
 from .model import Design, load_design
-from .run import DesignResult, run_design
-from .search import pareto_front
+from .run import DesignResult, pareto_front, run_design
 
 __all__ = [
     "ArmModel",

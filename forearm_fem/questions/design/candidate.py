@@ -15,8 +15,8 @@ import numpy as np
 
 from ...accuracy.estimates import quadrature_estimate
 from ...device import close_loop
-from ...engines.engine import Engine
 from ...engines.layered import LayeredEngine, flat_disc, flat_ports, kept_tables, tables_reach
+from ...engines.simulation import Engine
 from ...errors import AccuracyWarning, ForearmError, ScenarioError
 from ...layered.tables import Tabulated
 from ...metrics.strength import WITHOUT_BOUND
@@ -181,7 +181,7 @@ def s_interval(design: Design, candidate: Candidate, arm: ArmModel) -> tuple[flo
         scenario = _shorter(whole, asked.search.duration)
         g = transfer_on(scenario, arm)
         job = RenderJob.of(scenario, g, base=base, targets=_targets(scenario, asked.objective))
-        account = job.account(g, _played(job, g))
+        account = _played(job, g).strength
         low.append(score_of(account.low[0], asked.objective))
         high.append(score_of(account.high[0], asked.objective))
     pick = np.min if asked.objective.over == "least" else np.mean

@@ -40,7 +40,7 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from ...errors import ScenarioError, first_problem
-from ...rendering.limits import CLEARANCE
+from ...rendering.drives import CLEARANCE
 from ...scenario import Scenario, load_scenario, parse_scenario, scenario_beside
 from ...scenario.actuators import ACTUATORS
 from ...scenario.base import Name, Part, Within

@@ -1,10 +1,11 @@
-"""A design from its file to its winner: evaluated, kept, confirmed, written."""
+"""A design from its file to its winner: searched, evaluated, kept, confirmed, written."""
 
 from __future__ import annotations
 
 import json
+import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
@@ -15,6 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import psutil
+from scipy.optimize import differential_evolution, minimize
+from scipy.stats import qmc
 
 from ... import __version__
 from ...errors import ScenarioError
@@ -28,15 +31,105 @@ from ...store.shelf import WORK, Shelf
 from ...store.text import digest_of
 from ...store.work import LIGHT, SHARE, cluster, done_once
 from ...store.work import Run as Spread
+from ...typing import BoolArray, FloatArray
 from ..run import Run, run_all
 from .candidate import ArmModel, Candidate, TabulatedArm, evaluate, s_interval, score_of
 from .model import Design, Values
-from .search import pareto_front, planned, search
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import FigureBase
 
+
+# Pareto front: candidates that no other beats in everything at once.
+
+
+def pareto_front(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """Feasible candidates with no other of at least their score, at most their actuators and at most their power, one
+    of these strictly; by number of actuators, then power. Power is unknown of drives that are no voltages: such a
+    candidate is compared with its like alone, by score and actuators.
+    """
+    feasible = [c for c in candidates if c.feasible]
+    kept: list[Candidate] = []
+    for unknown in (False, True):
+        alike = [c for c in feasible if math.isnan(c.total_power) == unknown]
+        goods = np.array([(-c.score, c.actuators, _power(c)) for c in alike]).reshape(-1, 3)
+        seen: set[tuple[float, ...]] = set()  # of equals the first is kept
+        for mine, candidate in zip(goods, alike, strict=True):
+            worse = (goods <= mine).all(axis=1) & (goods < mine).any(axis=1)
+            if not worse.any() and tuple(mine) not in seen:
+                seen.add(tuple(mine))
+                kept.append(candidate)
+    return tuple(sorted(kept, key=lambda c: (c.actuators, _power(c), -c.score)))
+
+
+def _power(candidate: Candidate) -> float:
+    return math.inf if math.isnan(candidate.total_power) else candidate.total_power
+
+
+# The search: differential evolution over everything, then Nelder-Mead over what is continuous.
+
+Ask = Callable[[Sequence[Values]], list[Candidate]]
+_STILL = 1e-4  # of each range: a local search ends there
+
+
+def search(design: Design, ask: Ask) -> None:
+    """Ask for candidates until the design's numbers of them are spent; the best is among those asked for.
+
+    Storn & Price 1997 as in SciPy, whole generations at a time so that they can be computed side by side, from a Sobol
+    start; then Nelder & Mead 1965 from the best, within the bounds. Both depend on their seed and on what was
+    answered only, so that a search begun anew asks for the same.
+    """
+    low, high, whole = design.bounds
+    options = design.asked.search
+    if _levels(low, high, whole) <= options.candidates:
+        axes = [np.arange(a, b + 1) for a, b in zip(low, high, strict=True)]
+        every = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low))
+        ask([design.values(at) for at in every])
+        return
+
+    def many(points: FloatArray) -> list[float]:
+        """Costs of candidates at ``points`` (n, variables)."""
+        return [c.cost for c in ask([design.values(at) for at in points])]
+
+    power = int(np.ceil(np.log2(max(options.population, 2))))
+    start = low + (high - low) * qmc.Sobol(len(low), seed=options.seed).random_base2(power)[: options.population]
+    generations = max(0, options.candidates // options.population - 1)
+    found = differential_evolution(
+        lambda x: many(np.asarray(x).T if np.ndim(x) > 1 else np.atleast_2d(x)),
+        list(zip(low, high, strict=True)), maxiter=generations, init=start, seed=options.seed, polish=False, tol=0,
+        updating="deferred", vectorized=True, integrality=whole,
+    )  # fmt: skip
+    free = ~whole
+    if not options.local or not free.any():
+        return
+    span = np.where(free, high - low, 1.0)
+
+    def one(part: FloatArray) -> float:
+        """Cost where the free variables stand at ``part`` (0 to 1) of their ranges."""
+        at = np.array(found.x, dtype=float)
+        at[free] = low[free] + span[free] * part
+        return many(at[None])[0]
+
+    minimize(
+        one, ((found.x - low) / span)[free], method="Nelder-Mead", bounds=[(0, 1)] * int(free.sum()),
+        options={"maxfev": options.local, "xatol": _STILL, "fatol": 1e-6},
+    )  # fmt: skip
+
+
+def most_candidates(design: Design) -> int:
+    """Number of candidates that the search asks for at most."""
+    options, (low, high, whole) = design.asked.search, design.bounds
+    levels = _levels(low, high, whole)
+    return int(levels) if levels <= options.candidates else options.candidates + options.local
+
+
+def _levels(low: FloatArray, high: FloatArray, whole: BoolArray) -> float:
+    """Combinations of choices; infinite where something is continuous."""
+    return float(np.prod(np.where(whole, high - low + 1, np.inf)))
+
+
+# A design from its file to its winner: evaluated, kept, confirmed, written.
 
 @dataclass(frozen=True)
 class Confirmation:
@@ -123,7 +216,7 @@ def run_design(
     out = Path(folder).resolve()
     model = arm or TabulatedArm(progress=progress)
     set_kind(out, "design")
-    shelf, asked, total = Shelf(out / WORK, "candidates"), question(design, model.mark), planned(design)
+    shelf, asked, total = Shelf(out / WORK, "candidates"), question(design, model.mark), most_candidates(design)
     mine = [key for key in shelf.known() if key.startswith(asked)]
     known = {key: Candidate.from_json(parts) for key in mine if (parts := shelf.get(key)) is not None}
     with _evaluating(design, model, scheduler, workers, own=arm is None) as run:

@@ -13,11 +13,20 @@ import numpy as np
 
 from ...accuracy.estimates import quadrature_estimate
 from ...engines.arm_meshes import ArmMeshes, arm_meshes
-from ...engines.engine import Engine
-from ...engines.layered import LayeredEngine, flat_disc, flat_layers, flat_ports, flat_surface
+from ...engines.layered import (
+    LayeredEngine,
+    between_ports,
+    contacts_of,
+    flat_disc,
+    flat_layers,
+    flat_ports,
+    flat_surface,
+)
 from ...engines.parametric import ParametricModel, parametric_model, reciprocal
+from ...engines.simulation import Engine
 from ...errors import ForearmError, ScenarioError
 from ...fem.reduction.poles import chebyshev_frequencies
+from ...geometry.limb.thickness import stretches
 from ...layered import layered_compliance
 from ...metrics import smooth_noise
 from ...ports import Port
@@ -30,6 +39,7 @@ from .draws import FASCIA, has_fascia
 
 # A third of the time of the layered model's own; what it costs is stated per draw
 _TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)
+_JUDGED = 6  # every so many frequencies the series are judged
 _OF_CHANGE = (1e-2, 3)  # tolerance and terms for what geometry changes: 5e-5 of it apart, in two thirds of the time
 _ALONE, _FAR, _SCATTERED = (1,), 0.5, 0.06  # orders of a change, up to which nearness, and what they leave out of it
 _ENOUGH = 0.1  # e(f): where fewer orders say more (a point near a cone, little loss), more are taken
@@ -132,11 +142,11 @@ class LayeredArm:
 
     def _between(self, scenario: Scenario, ports: tuple[Port, ...], frequency: FloatArray) -> Compliance:
         """Compliance between ``ports`` on the scenario's layers."""
-        discs = [flat_disc(port) for port in ports]
+        contacts, discs = ([flat_disc(port) for port in some] for some in (contacts_of(ports), ports))
         for orders in self.orders:
             found = layered_compliance(
-                flat_layers(scenario), 2 * np.pi * frequency, discs, discs, surface=flat_surface(scenario.tissues),
-                tolerance=self.tolerance, terms=self.terms, orders=orders,
+                flat_layers(scenario), 2 * np.pi * frequency, contacts, discs, surface=flat_surface(scenario.tissues),
+                tolerance=self.tolerance, terms=self.terms, orders=orders, judged=_JUDGED,
             )  # fmt: skip
             error = found.quadrature + found.interpolation
             error = np.asarray(error if self.orders == _ALONE else error + found.truncation)
@@ -146,7 +156,7 @@ class LayeredArm:
             frequency, error,
             "the layered model's own control, with fewer terms than it takes for a scene",
         )  # fmt: skip
-        return Compliance(frequency, found.values, ports, (estimate,))
+        return Compliance(frequency, between_ports(found.values, ports), ports, (estimate,))
 
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
         """See :class:`ArmModel`: its errors are noise."""
@@ -179,9 +189,10 @@ def without_bones(scenario: Scenario) -> Scenario:
 class ReducedArm:
     """The scene's own finite elements for any tissue and tension (:mod:`forearm_fem.engines.parametric`).
 
-    A mesh has one geometry, but its skin can be read anywhere: a draw's grid is read where it lies, if that is within
-    millimetres of the scene's. What thicknesses and contact radius change, or a grid further away, is the difference of
-    two answers of the layered model for the draw's tissues, and stated to be wrong by up to half of itself. A scene
+    Layers of other thicknesses stretch with the mesh, and its skin can be read anywhere: a draw's grid is read where it
+    lies, if that is within millimetres of the scene's. What the contact radius changes, or thicknesses and a grid
+    beyond what the model was made for, is the difference of two answers of the layered model for the draw's tissues,
+    and stated to be wrong by up to half of itself. A scene
     with tape on the skin, which the layered model has not, holds all of these. ``meshes`` tell what the elements err by
     for each draw; where there are none, ``without`` says why.
     """
@@ -211,7 +222,9 @@ class ReducedArm:
     def left_out(self) -> str:
         """See :class:`ArmModel`."""
         still = self.model.around is None
-        by_layers = "thickness, contact area and the grid's place" if still else "thickness and contact area"
+        kinds = [] if self.model.thickness else ["thickness"]
+        kinds += ["contact area", *(["the grid's place"] if still else [])]
+        by_layers = " and ".join([", ".join(kinds[:-1]), kinds[-1]] if kinds[1:] else kinds)
         if FASCIA in self.held:
             by_layers = f"no arm has a deep fascia, for the scene has none (limb.layers); what {by_layers}"
         else:
@@ -236,10 +249,14 @@ class ReducedArm:
         """See :class:`ArmModel`: each error may be missed by its size at each pair of ports, alike at all of them or in
         any phase at each."""
         own = with_scene_geometry(self.scenario, scenario)  # but with its own grid where both meshes can read it
-        # the layered model turns it
-        laid = own.changed({"grid": scenario.grid.changed({"direction": own.grid.direction})})
         models = [self.model] if self.meshes is None else [self.model, self.meshes.second]
-        own = laid if all(m.follows(laid) for m in models) else own
+        if all(m.stretches(scenario) for m in models):
+            own = own.changed({"limb": scenario.limb})
+        for direction in (scenario.grid.direction, own.grid.direction):  # else the layered model turns it
+            laid = own.changed({"grid": scenario.grid.changed({"direction": direction})})
+            if all(m.follows(laid) for m in models):
+                own = laid
+                break
         found, missed = self.model.answer(own, frequency)
         off: list[ComplexArray | FloatArray] = [missed.of(found)]
         if self.meshes is not None:
@@ -264,10 +281,14 @@ class ReducedArm:
         size, whole = np.abs(found.values[block]).max(axis=(1, 2)), np.linalg.norm(found.values[block])
         missed = (_MISSED * np.abs(change[block]).max(axis=(1, 2)) + error[block].max(axis=(1, 2))) / size
         band = (_MISSED * np.linalg.norm(change[block]) + np.linalg.norm(error[block])) / whole
-        laid = " and the grid's place" if own.grid != scenario.grid else ""
+        kinds = {
+            "thickness": own.limb != scenario.limb, "contact area": own.device.cone != scenario.device.cone,
+            "place of the grid": own.grid != scenario.grid,
+        }  # fmt: skip
+        differs = " and ".join(kind for kind, other in kinds.items() if other)
         estimate = ErrorEstimate(
             "interpolation", float(band),
-            f"{_MISSED:g} of what the draw's thickness, contact area{laid} change on the layered model, and its errors",
+            f"{_MISSED:g} of what the draw's {differs} changes on the layered model, and its errors",
             tuple(frequency.tolist()), tuple(missed.tolist()),
         )  # fmt: skip
         changed = replace(found, values=found.values + change, errors=(*found.errors, estimate))
@@ -365,7 +386,10 @@ def arm_model(
         )
     if scenario.engine == "layered" or layered:
         return LayeredArm(scenario.engine == "fem")
-    known = [with_scene_geometry(scenario, d) for d in draws]
+    known = [
+        own if stretches(scenario.limb, d.limb) is None else own.changed({"limb": d.limb})
+        for d in draws for own in [with_scene_geometry(scenario, d)]
+    ]  # fmt: skip
     model = parametric_model(scenario, base=base, draws=known or None, progress=progress)
     try:
         meshes, without = arm_meshes(scenario, base, known or None, within(progress, "coarser mesh")), ""

@@ -18,10 +18,12 @@ from scipy.special import expit, logit, ndtr
 
 from ...errors import ScenarioError
 from ...geometry.device.layout import turned
+from ...laws import LAWS as BUILT_IN
+from ...laws import law
 from ...scenario import Scenario, parse_scenario
 from ...scenario.device import VoltageDevice
 from ...scenario.limb import limb_tissues
-from ...tissue import law, resolve_tissues
+from ...tissue import resolve_tissues
 from ...typing import FloatArray
 from ...usercode import is_code
 
@@ -151,7 +153,7 @@ def _table(rows: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Prior]:
 
 # Draws of arms: named inputs from the priors, and the scenario that they make of another.
 
-LAWS = ("kelvin-voigt", "zener", "springpot")
+LAWS = ("kelvin-voigt", "zener", "springpot")  # drawn unless others are named
 SOFT = ("skin", "fat", "muscle")
 WRIST, ELBOW = "contact spring, wrist side", "contact spring, elbow side"
 _PLACED = {"grid x", "grid y", "grid turn"}
@@ -199,7 +201,8 @@ def draw_inputs(
         return float(np.random.default_rng([seed, number, zlib.crc32(name.encode())]).standard_normal())
 
     known = priors.inputs["law"].choices
-    chosen = [*(x for x in known if x in laws), *sorted(x for x in laws if is_code(x))]
+    others = sorted(x for x in set(laws) - set(known) if is_code(x) or x in BUILT_IN)
+    chosen = [*(x for x in known if x in laws), *others]
     if not chosen:
         raise ScenarioError(f"laws: expected some of {', '.join(LAWS)}, got {', '.join(sorted(laws)) or 'none'}")
     own = chosen[int(Prior("law", "choice", "", "judgement", choices=tuple(chosen)).value(normal("law")))]

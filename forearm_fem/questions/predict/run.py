@@ -1,11 +1,11 @@
-"""Many draws of a scene's arms, resumable, on this machine or a Dask scheduler."""
+"""Prediction of S for people: a question, its draws on this machine or a Dask scheduler, resumable, and the answer."""
 
 from __future__ import annotations
 
 import time
 import warnings
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
@@ -17,16 +17,19 @@ from ... import __version__
 from ...device import close_loop
 from ...engines.notes import check_samples
 from ...engines.simulation import simulate
-from ...errors import AccuracyWarning, ForearmError, ScenarioError
+from ...errors import AccuracyWarning, ForearmError, ReductionError, ScenarioError
 from ...fem.kernels.compiled import freed_memory_kept
 from ...geometry.device.layout import planform_ports
+from ...laws import LAWS as BUILT_IN
+from ...laws import REFERENCE
+from ...measurement.chain import reported
 from ...notebook import Manners, place
 from ...progress import Progress, tell, within
-from ...rendering.interval import Strength
+from ...rendering.drives import counted_points
+from ...rendering.funneling import is_thesis_grid
+from ...rendering.interval import Strength, interval
 from ...rendering.job import RenderJob, check_servable, wavelet
-from ...rendering.lattice import is_thesis_grid
-from ...rendering.limits import counted_points
-from ...results.draws import DRAWS_FILE, READINGS, DrawsFile, Outcome
+from ...results.draws import DRAWS_FILE, KEPT, READINGS, DrawsFile, Outcome
 from ...scenario import Scenario
 from ...scenario.shipped import code_files, contents, named_files
 from ...scenario.sweep import frequencies
@@ -35,17 +38,86 @@ from ...store.record import save
 from ...store.shelf import WORK, Shelf
 from ...store.text import digest_of
 from ...store.work import LOST, done_once, light_workers, spread
-from ...transfer import UNITS, ErrorEstimate
+from ...tissue import resolve_tissues
+from ...transfer import UNITS, ErrorEstimate, finite, total_error
 from ...typing import FloatArray
 from ...usercode import is_code, with_code_beside
 from .arm import ArmModel, LayeredArm, arm_model
-from .draws import FASCIA, LAWS, draw_inputs, each_name, has_fascia, is_bare, load_priors, scenario_of
-from .outcome import Setup, outcome_of, setup_of
+from .draws import (
+    FASCIA,
+    LAWS,
+    SOFT,
+    Draw,
+    draw_inputs,
+    each_name,
+    has_fascia,
+    idle_inputs,
+    is_bare,
+    load_priors,
+    measured_of,
+    scenario_of,
+    soft_tissues,
+)
 from .statistics import Draws, draws_of
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import FigureBase
+
+
+_MOST = 1.0  # e_band: nothing is known of a G that may be wrong by as much as it is
+_DRAWS = 6  # of an arm's errors, for the interval of its S; all targets of a method are pooled
+
+
+def outcome_of(draw: Draw, scene: Scenario, held: Collection[str], job: RenderJob, arm: ArmModel) -> Outcome:
+    """S of ``draw`` of the ``scene``, whose inputs ``held`` keep its values, by the renderers of ``job``.
+
+    Raises the :class:`ForearmError` of an arm that cannot be, or whose error is too large to say.
+    """
+    began = time.perf_counter()
+    held = {*held, *arm.held}
+    scenario = scenario_of(draw, scene, held)
+    values = {name: value for name, value in draw.values.items() if name not in held}
+    seen, at = measured_of(replace(draw, values=values), scenario), frequencies(scenario.sweep)
+    answer, met = arm.answers(scenario, seen, at) if seen.grid != scenario.grid else (arm.answer(scenario, at), None)
+    true, *others = (
+        job.on_nominal_ports(finite(close_loop(c, scenario.device))) for c in (answer.compliance, *answer.others)
+    )
+    if not total_error(true.errors) < _MOST:
+        raise ReductionError(f"G of the arm may be wrong by as much as it is: e_band is {_MOST:g} or more, or unknown")
+    under = true if met is None else job.on_nominal_ports(finite(close_loop(met, seen.device)))
+    measured = reported(under, seen, draw.generator("rig"))
+    found = job.strengths(measured, true, measured, windows=(job.window, "record"))
+    noise = tuple(e for e in true.errors if e.source not in answer.shown)
+    spread = interval(true, noise, job.targets, job.span, job.methods, job.wavelet, draws=_DRAWS, others=others)
+    return Outcome(
+        draw.number, draw.law, found.reshape(len(READINGS), *found.shape[2:]), drivers_of(draw, scenario, held),
+        total_error(true.errors), time.perf_counter() - began, spread=spread,
+        transfer=true.values.astype(np.complex64) if draw.number < KEPT else None,
+    )  # fmt: skip
+
+
+def drivers_of(draw: Draw, scenario: Scenario, held: Collection[str]) -> dict[str, float]:
+    """Candidate drivers of S: inputs, and of each drawn tissue its size |mu*| [Pa] and loss tangent at 150 Hz.
+
+    Nothing of a tissue or layer that the limb has not, or of a part that the drive leaves out: chance would make
+    it a driver.
+    """
+    tissue_input = {f"{t}." for t in SOFT}
+    own, layers = soft_tissues(scenario), {layer.tissue for layer in getattr(scenario.limb, "layers", ())}
+    absent = {f"{t} thickness" for t in SOFT if t not in layers} | idle_inputs(scenario)
+    found = {
+        name: value
+        for name, value in draw.values.items()
+        if name not in held and name not in absent and not any(name.startswith(t) for t in tissue_input)
+    }
+    if "tissue" not in held:
+        for name, tissue in resolve_tissues(scenario).items():
+            if name in own:
+                modulus = complex(tissue.modulus.at(2 * np.pi * REFERENCE))
+                found |= {f"{name} stiffness": abs(modulus), f"{name} loss": modulus.imag / modulus.real}
+    return found
+
 
 DRAWS = 200
 POOL = 200  # draws that a model of finite elements is made from: the first ones, however many are asked for
@@ -152,16 +224,14 @@ class Prediction(Manners):
         return files
 
 
+Plain = tuple[str, str, int, tuple[str, ...], tuple[str, ...], bool]  # a question that any process can take
+
+
 @dataclass(frozen=True)
 class Job:
-    """One draw of a question; ``setup`` is made once a process."""
+    """One draw of a question, which is prepared once a process."""
 
-    question: str
-    base: str
-    seed: int
-    laws: tuple[str, ...]
-    held: tuple[str, ...]
-    layered: bool
+    question: Plain
     number: int
 
 
@@ -186,11 +256,13 @@ def predict(
     check_question(question)
     check_kind(folder, "prediction")
     out = Path(folder)
-    _, setup, arm = _prepared(*_plain(question), progress)  # an arm that cannot be is said before minutes of solving
+    plain = _plain(question)
+    prepared = _prepared(plain, progress)  # an arm that cannot be is said before minutes of solving
+    _, renderers, arm = prepared
     tell(progress, "the scene itself", 0, 1)
     nominal, errors = _nominal(question, progress)
     shelf, digest = Shelf(out / WORK, "finished draws"), question.digest
-    jobs = {f"draw-{n}-{digest[:32]}": Job(*_plain(question), n) for n in range(draws)}
+    jobs = {f"draw-{n}-{digest[:32]}": Job(plain, n) for n in range(draws)}
     if not resume:
         shelf.drop(*jobs)
     known = set(shelf.known())
@@ -198,23 +270,24 @@ def predict(
     count = workers or min(max(1, draws - reused), light_workers())
     many = spread(count, scheduler, "a prediction on several processes", asked=workers is not None)
     made = done_once(
-        shelf, jobs, work if many else lambda job: drawn(question, setup, arm, job.number).as_parts(),
+        shelf, jobs, work if many else lambda job: drawn(*prepared, job.number).as_parts(),
         run=many, tell=lambda done, total: tell(progress, "draws", done, total),
     )  # fmt: skip
     kept = dict[int, Outcome]()
     for key, parts in made:
         if not kept:  # a prediction that ends before its first draw leaves nothing
             set_kind(out, "prediction")
-        kept[jobs[key].number] = _outcome(jobs[key].number, parts, setup)
+        kept[jobs[key].number] = _outcome(jobs[key].number, parts, renderers)
     frequency, unit = frequencies(question.scenario.sweep), UNITS[question.scenario.device.drive]
-    save(out / DRAWS_FILE, DrawsFile.of(list(kept.values()), setup.methods, setup.targets, digest, frequency, unit))
-    grid = is_thesis_grid(setup.outputs)
+    of = renderers.names, renderers.targets
+    save(out / DRAWS_FILE, DrawsFile.of(list(kept.values()), *of, digest, frequency, unit))
+    grid = is_thesis_grid(renderers.ports[0])
     points, motors = planform_ports(question.scenario)
     touching = [p for p in motors if p.name not in question.scenario.device.out_of_contact]
     least = question.scenario.rendering.clearance
     clear = dict(zip((p.name for p in points), counted_points(points, touching, least), strict=True))
-    counted = tuple(t for t in setup.targets if clear[t])
-    found = draws_of([kept[n] for n in range(draws)], setup.methods, setup.targets, grid, counted)
+    counted = tuple(t for t in renderers.targets if clear[t])
+    found = draws_of([kept[n] for n in range(draws)], *of, grid, counted)
     held = tuple(sorted({*question.held, *arm.held}))
     return Prediction(
         question, nominal, found, arm.name, arm.left_out, held, reused, time.monotonic() - began, _unknown(arm, errors),
@@ -233,11 +306,11 @@ def check_question(question: Question) -> None:
             f"--hold: no input or group is called '{bad[0]}'; groups are {', '.join(sorted(groups))}, single inputs "
             "stand in questions/predict/priors.toml"
         )
-    if bad := sorted(x for x in set(question.laws) - set(LAWS) if not is_code(x)):
+    if bad := sorted(x for x in set(question.laws) - set(BUILT_IN) if not is_code(x)):
         raise ScenarioError(
             f"--law: no law is called '{bad[0]}'; known are {', '.join(LAWS)}, or your own as module:Name"
         )
-    for law in filter(is_code, question.laws):
+    for law in question.laws:
         priors.tissue_inputs(law)
     if not question.laws:
         raise ScenarioError(f"--law: expected at least one of {', '.join(LAWS)}")
@@ -270,8 +343,7 @@ def _nominal(question: Question, progress: Progress | None) -> tuple[Strength, t
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AccuracyWarning)  # `run` says them
         transfer = simulate(scenario, base=base, progress=within(progress, "the scene itself")).transfer
-        job = RenderJob.of(scenario, transfer, base=base)
-        account = job.account(transfer, job.play(transfer))
+        account = RenderJob.of(scenario, transfer, base=base).play(transfer).strength
     tell(progress, "the scene itself", 1, 1)
     return account, transfer.errors
 
@@ -286,56 +358,56 @@ def _unknown(arm: ArmModel, errors: tuple[ErrorEstimate, ...]) -> str:
     return "; ".join(s for s in (arm.unknown, f"what cutting the limb errs by for each arm is unknown ({own})") if s)
 
 
-def drawn(question: Question, setup: Setup, arm: ArmModel, number: int) -> Outcome:
-    """Draw ``number``; an arm that cannot be is data, not an error."""
-    bare = is_bare(question.scenario, setup.held)
+def drawn(question: Question, renderers: RenderJob, arm: ArmModel, number: int) -> Outcome:
+    """Draw ``number`` of a question prepared; an arm that cannot be is data, not an error."""
+    bare = is_bare(question.scenario, question.held)
     draw = draw_inputs(load_priors(), question.scenario, question.seed, number, question.laws, bare=bare)
     try:
         with freed_memory_kept():
-            return outcome_of(draw, setup, arm)
+            return outcome_of(draw, question.scenario, question.held, renderers, arm)
     except ForearmError as problem:
-        return Outcome.none(number, draw.law, setup.methods, setup.targets, str(problem))
+        return Outcome.none(number, draw.law, renderers.names, renderers.targets, str(problem))
 
 
 def work(job: Job) -> dict[str, Any]:
     """The draw of ``job`` as plain data; nothing it raises leaves the worker."""
     try:
-        question, setup, arm = _prepared(job.question, job.base, job.seed, job.laws, job.held, job.layered)
-        return drawn(question, setup, arm, job.number).as_parts()
+        return drawn(*_prepared(job.question), job.number).as_parts()
     except Exception as problem:
         return {LOST: f"{type(problem).__name__}: {problem} (a fault of the program, please report it)"}
 
 
-def _outcome(number: int, parts: Mapping[str, Any], setup: Setup) -> Outcome:
+def _outcome(number: int, parts: Mapping[str, Any], renderers: RenderJob) -> Outcome:
     """Outcome from the parts of :meth:`.Outcome.as_parts`, or the reason that there is none."""
     if "strengths" not in parts:
-        return Outcome.none(number, "", setup.methods, setup.targets, str(parts[LOST]))
+        return Outcome.none(number, "", renderers.names, renderers.targets, str(parts[LOST]))
     return Outcome(**{**parts, "number": number, "drivers": MappingProxyType(parts["drivers"])})
 
 
-def _plain(question: Question) -> tuple[str, str, int, tuple[str, ...], tuple[str, ...], bool]:
+def _plain(question: Question) -> Plain:
     text = question.scenario.model_dump_json()
     return text, str(question.base.resolve()), question.seed, question.laws, question.held, question.layered
 
 
 @lru_cache(maxsize=2)
-def _prepared(
-    text: str, base: str, seed: int, laws: tuple[str, ...], held: tuple[str, ...], layered: bool,
-    progress: Progress | None = None,
-) -> tuple[Question, Setup, ArmModel]:  # fmt: skip
-    """Parts that all draws of a process share. G of the scene serves for its ports alone, so one bin will do.
+def _prepared(plain: Plain, progress: Progress | None = None) -> tuple[Question, RenderJob, ArmModel]:
+    """Parts that all draws of a process share: the question with every input that is held by name, and renderers.
+
+    G of the scene serves for its ports alone, so one bin will do.
 
     A model of finite elements is made once and kept in the cache, where other processes find it.
     """
+    text, base, seed, laws, held, layered = plain
     question = Question(Scenario.model_validate_json(text), Path(base), seed, laws, held, layered)
-    on_layers = question.scenario.engine == "layered" or layered
+    on_layers = question.scenario.engine == "layered" or question.layered
     arm = arm_model(
-        question.scenario, base=base, draws=() if on_layers else pool(question), layered=layered, progress=progress
+        question.scenario, base=base, draws=() if on_layers else pool(question), layered=question.layered,
+        progress=progress,
     )
     compliance = arm.compliance(question.scenario, frequencies(question.scenario.sweep)[:1])
     transfer = close_loop(compliance, question.scenario.device)
-    held_by_both = expanded(question.held, question.scenario) | expanded(arm.held, question.scenario)
-    return question, setup_of(question.scenario, transfer, question.base, held_by_both), arm
+    every = expanded((*question.held, *arm.held), question.scenario)
+    return replace(question, held=tuple(sorted(every))), RenderJob.of(question.scenario, transfer, base=base), arm
 
 
 def pool(question: Question) -> list[Scenario]:

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from ... import __version__
+from ...laws import REFERENCE
 from ...store.text import write_json
-from ...tissue import REFERENCE, resolve_tissues
+from ...tissue import resolve_tissues
 from ...typing import FloatArray
 from .draws import kept_tissues
 from .run import Prediction

@@ -18,9 +18,9 @@ from ...errors import DataError, ForearmError, ScenarioError
 from ...geometry.device.layout import planform_ports
 from ...metrics.strength import thesis_table
 from ...progress import Progress, tell
+from ...rendering.funneling import is_thesis_grid
 from ...rendering.interval import Strength, strength_of
 from ...rendering.job import RenderJob, targets_of, wavelet, wavelet_for
-from ...rendering.lattice import is_thesis_grid
 from ...scenario import Scenario
 from ...scenario.rendering import RickerWavelet
 from ...store.shelf import WORK, Shelf
@@ -28,6 +28,7 @@ from ...store.text import write_json
 from ...store.work import done_once
 from ...transfer import TransferMatrix
 from ...typing import FloatArray
+from ...usercode import is_code
 from .arm import without_bones
 from .draws import LAWS, draw_inputs, is_bare, load_priors, scenario_of
 from .published import SHAH_ARMS, SHAH_STEPS, TARGETS, TOLERANCE, Arm, Target, fat_of, motor_ratios, observables
@@ -69,10 +70,11 @@ def validate(
 
     ``draws`` arms of the question's scene give S (:func:`.run.predict`, resumable) and, on the same arms, what each
     published measurement would have found. A ``measured`` G, ``measured_name`` on the page, runs through the same
-    comparison as Table I. Raises ScenarioError for scenes without the thesis' grid and targets or without layers.
+    comparison as Table I. Arms give S by the scene's engine, and all else on flat layers. Raises ScenarioError for
+    scenes without the thesis' grid and targets or without layers.
     """
-    if question.scenario.engine != "layered":
-        raise ScenarioError("validate draws arms on the layered model; set engine=layered (what it leaves out is said)")
+    if is_code(question.scenario.engine):
+        raise ScenarioError("validate draws arms on finite elements or layers, not by your engine; set engine=layered")
     outputs = planform_ports(question.scenario)[0]
     if not is_thesis_grid(outputs):
         raise ScenarioError("validate compares with Table I, which is of 3 x 3 points; leave grid as in the thesis")

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from ...device import close_loop
-from ...engines.engine import SolvingEngine
+from ...engines.simulation import SolvingEngine
 from ...errors import GeometryError
 from ...geometry.device.layout import layout_of
 from ...ports import Port, positions

@@ -19,7 +19,7 @@ import { all, openEdges, seen } from "./seen.js";
 import { eyeOf, matrixOf, project } from "./view.js";
 import { METHODS } from "./experiment.js";
 
-const BULGE = 5, GLANCES = 24, NEAR = 15, FREE = 14;
+const BULGE = 5, FILM = [-0.012, 0.0175], GLANCES = 24, NEAR = 15, FREE = 14;
 const STOPS = {
   light: [0.10, 0.27, 0.58, 0.45, 0.66, 0.87, 0.93, 0.915, 0.885, 0.95, 0.65, 0.42, 0.70, 0.22, 0.10],
   dark: [0.45, 0.72, 0.98, 0.22, 0.42, 0.66, 0.25, 0.255, 0.27, 0.68, 0.36, 0.20, 0.99, 0.62, 0.34],
@@ -98,16 +98,18 @@ export class Arms {
     this.shown.set(key, { track, limit: rms ? nice(most / 2) : most, gain: most > 0 && !rms ? nice((factor * BULGE) / Math.max(reach, 1e-30)) : 0, rms });
   }
 
-  /** Largest displacement of the skin [m], at some instants. @param {Track} track */
+  /** Largest displacement of the skin [m], at some of a film's instants: both are drawn alike. @param {Track} track */
   highest(track) {
     const known = this.reaches.get(track);
     if (known !== undefined) return known;
     const { states, whole } = this.work[0];
+    const end = track.first + track.count / track.rate, from = Math.max(track.first, FILM[0]), to = Math.min(end, FILM[1]);
+    const [low, high] = from < to ? [from, to] : [track.first, end];
     let most = 0;
     for (let k = 0; k < GLANCES; k += 3) {
-      const rows = states.map((_, i) => amplitudesAt(track, track.first + ((k + i + 0.5) / GLANCES) * (track.count / track.rate), new Float64Array(track.k)));
+      const rows = states.map((_, i) => amplitudesAt(track, low + ((k + i + 0.5) / GLANCES) * (high - low), new Float64Array(track.k)));
       displace(this.field.skin, rows, states, whole.vertices, states.map(() => track.net));
-      for (const { u } of states) for (let v = 0; v < u.length; v++) most = Math.max(most, Math.abs(u[v]));
+      for (const { moved } of states) for (let v = 0; v < moved.length; v += 3) most = Math.max(most, Math.hypot(moved[v], moved[v + 1], moved[v + 2]));
     }
     this.reaches.set(track, most);
     return most;

@@ -125,7 +125,7 @@ export class Experiment {
 
   /** What answers, and how far off G may be. @returns {{engine: string, error: number | null}} */
   get engine() {
-    const { content } = this, known = this.errors.map((/** @type {any} */ e) => e.band), error = known.includes(null) || !known.length ? null : known.reduce((/** @type {number} */ a, /** @type {number} */ b) => a + b, 0);
+    const { content } = this, known = this.errors.map((/** @type {any} */ e) => e.band), error = known.includes(null) || !known.length ? null : Math.hypot(...known);
     const engine = this.kind === "transfer" ? "G as given" : this.kind === "places" ? "the arm's library" : this.moved ? "the layered model, from tables in this page" : content.engine === "layered" ? "the layered model, as run" : "finite elements, as run";
     return { engine, error };
   }

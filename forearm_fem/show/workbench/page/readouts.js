@@ -35,7 +35,7 @@ export function heads(app) {
         h("button", { type: "button", class: CLASS[method], "aria-pressed": String(app.focus === method), onclick: () => { app.focus = method; app.rescale(); }, text: `${title}${method}` }),
         h("div", { class: "s", "data-method": method }, whatIsS(),  o.problem ? "–" : say(o.strength)),
         h("div", { class: "why", text: why }), beside ? h("div", { class: "why beside", text: beside }) : null,
-        band ? h("div", { class: "why", "data-arms": method, text: `over arms ${say(band[0])} to ${say(band[2])}, half above ${say(band[1])}` }) : null),
+        band ? h("div", { class: "why", "data-arms": method, text: `people ${say(band[0], 2)} to ${say(band[2], 2)}, median ${say(band[1], 2)}` }) : null),
       h("div", { class: "foot", text: arms.words(method, experiment, key) }));
   }));
 }
@@ -176,7 +176,7 @@ function fill(app, version, row) {
     if (!cell) continue;
     const s = experiment.strength(method, row), range = experiment.interval(method, row);
     const band = experiment.arms(method, row), before = app.kept?.strength(method, row);
-    cell.replaceChildren(say(s), ...(range ? [" ", h("small", { text: `(${say(range[0])}–${say(range[1])})` })] : []), ...(band ? [" ", h("small", { text: `people ${say(band[0])}–${say(band[2])}` })] : []),
+    cell.replaceChildren(say(s), ...(range ? [" ", h("small", { text: `(${say(range[0])}–${say(range[1])})` })] : []), ...(band ? [" ", h("small", { class: "people", text: `people ${say(band[0], 2)}–${say(band[2], 2)}` })] : []),
       ...(before === undefined ? [] : [" ", h("small", { class: s > before ? "gain" : "loss", text: `kept ${say(before)}` })]));
     /** @type {HTMLElement} */ (cell).dataset.value = String(s);
   }
@@ -237,7 +237,7 @@ export function errors(app) {
   if (content.device.housing.skin_share && !content.device.housing.fixed) changed.push("The picture leaves out what the skin follows of the housing; numbers at the points hold it.");
   const picture = experiment.kind === "transfer" ? [] : [field.anywhere ? `The picture: ${field.words}.` : `The picture: ${field.words}. Its shapes leave out ${say(100 * field.error, 2)} % of the motion; numbers at the points do not come from them, those at a free place do.`];
   const section = field.surfaces.length > 1 ? [] : ["No section: this run kept no motion inside the limb."];
-  const arms = content.arms && `S over arms: the ${say(100 * content.arms.levels[0])} and ${say(100 * content.arms.levels[content.arms.levels.length - 1])} % quantiles of ${content.arms.draws} arms drawn by forearm-fem predict. It is no error of this arm's numbers, and is shown only while nothing is changed.`;
+  const arms = content.arms && `People: ${say(100 * content.arms.levels[0])} to ${say(100 * content.arms.levels[content.arms.levels.length - 1])} % of S over ${content.arms.draws} arms drawn by forearm-fem predict. It is no error of this arm's numbers, and is shown only while nothing is changed.`;
   const notes = [...changed, ...(arms ? [arms] : []), ...(experiment.kind === "transfer" ? [field.words[0].toUpperCase() + field.words.slice(1) + "."] : []), ...picture, ...section, "An interval of S holds nine in ten true values within the errors stated for G; how arms differ between people is never in it.", ...content.notes];
   $("errors").replaceChildren(
     h("div", {}, h("h2", { text: "How wrong may it be?" }), h("p", { style: "margin:0 0 4px", text: content.accuracy }), h("ul", {}, ...estimates)),

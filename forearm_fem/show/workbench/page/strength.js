@@ -1,5 +1,5 @@
 /**
- * Signal strength S and the drives' limits. As Python's metrics/strength.py and rendering/limits.py.
+ * Signal strength S and the drives' limits. As Python's metrics/strength.py and rendering/drives.py.
  *
  * @typedef {import("./wavelet.js").Record} Record
  */

@@ -1,5 +1,5 @@
 /**
- * Rectangles of ports and the zero points that follow from them. As Python's rendering/lattice.py, zeros.py, funneling.py.
+ * Rectangles of ports and the zero points that follow from them. As Python's rendering/funneling.py and inverse_filter.py.
  *
  * @typedef {import("./device.js").Port} Port
  * @typedef {{angle: number, rows: number[], columns: number[], place: number[][], slack: number}} Lattice
