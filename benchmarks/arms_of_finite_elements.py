@@ -67,7 +67,7 @@ def main() -> None:
     parser.add_argument("--kept", type=Path, default=Path("results/arms"))
     asked = parser.parse_args()
     scene, began = parse_scenario(SCENE), time.process_time()
-    arm = arm_model(scene, draws=[scene, *(drawn(scene, 0, k, KINDS["tissue"]) for k in range(200))])
+    arm = arm_model(scene, draws=[scene, *(drawn(scene, 0, k, KINDS["thickness"]) for k in range(200))])
     assert isinstance(arm, ReducedArm)
     print(f"made in {time.process_time() - began:.0f} s, factor {arm.model.factor:.2g}", flush=True)
     first = close_loop(arm.compliance(scene, frequencies(scene.sweep)[:1]), scene.device)

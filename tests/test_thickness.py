@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array, diags
 
+from forearm_fem.engines import parametric
 from forearm_fem.engines.fem import fem_model
 from forearm_fem.engines.parametric import Ranges, parametric_model
 from forearm_fem.engines.skin_model import coefficients_of
 from forearm_fem.errors import GeometryError
+from forearm_fem.fem.assembly.coefficients import grouped
 from forearm_fem.fem.assembly.model import ForearmModel
-from forearm_fem.fem.assembly.thickness import motion_of
+from forearm_fem.fem.assembly.thickness import follows_thickness, motion_of
 from forearm_fem.fem.reduction.parametric_greedy import Growth
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.cache import cached_mesh
@@ -114,6 +116,14 @@ def test_limbs_that_differ_in_more_have_no_stretch():
     assert found["muscle"].scale == pytest.approx(8.1 / 7.8)
 
 
+def test_springpots_on_the_meshs_own_thickness_have_no_more_terms():
+    """Terms of other thicknesses are then nothing, which a springpot has no series at zero for."""
+    scene, names = parse_scenario({**SLAB, "tissues": {"preset": "springpot"}}), ["shear fat", "shear fat; 1 0"]
+    own, other = (grouped(coefficients_of(names, s, scene.limb)) for s in (scene, thick(scene, 1.2e-3, 4.5e-3)))
+    assert [w.tolist() for w, _ in own] == [[1.0, 0.0]]
+    assert [w.tolist() for w, _ in other] == [[1.0, pytest.approx(0.5)]]
+
+
 @pytest.mark.slow
 def test_unseen_arms_are_as_right_as_stated():
     """Thicknesses, laws and moduli of a hypercube of another seed, against solves on meshes moved for them."""
@@ -142,3 +152,19 @@ def test_round_limbs_are_read_from_above_too():
     assert around.hold(bent.changed({"grid": bent.grid.changed({"direction": "vertical"})}))
     assert ports[0].position == ports[len(around.places)].position
     assert ports[-1 - len(around.places)].axis != (0.0, 0.0, 1.0)
+
+
+def test_terms_that_do_not_fit_into_memory_are_left_out(monkeypatch):
+    """Layers then stay, as the layered model's change serves."""
+
+    class Assembled(Exception):
+        pass
+
+    def stop(model: ForearmModel, *_: object) -> None:
+        raise Assembled(follows_thickness([t.name for t in model.operator.terms]))
+
+    monkeypatch.setattr(parametric, "united_model", stop)
+    scene = parse_scenario({**SLAB, "solver": {**SLAB["solver"], "memory_limit": 1e8}})
+    with pytest.raises(Assembled) as told:
+        parametric_model(scene, ranges=Ranges(thickness=1.5))
+    assert told.value.args == (False,)

@@ -54,6 +54,8 @@ _ROUGHER = 2  # degrees of the polynomials that a moved grid is read by: what on
 _POOL = 48  # draws that a model is made from
 _TYPICAL = 100.0  # Hz at which springpots are as stiff as the scenario's tissue
 _MIDDLE = 0.5
+_ROOM = 0.25  # of the memory limit that terms of other thicknesses may take; where they would more, layers stay
+_ENTRY = 180.0  # bytes of an entry in all of them: six times a value, its place, and both triangles for products
 _OF_THICKNESS = Growth(solves=12, checks=4, states=80)  # effort where arms differ in thickness, too
 
 
@@ -352,6 +354,7 @@ def parametric_model(
 
     ``base`` is the folder that user files refer to, ``mesh`` another one than the scenario's own. Draws, and what will
     be asked, may differ as :meth:`ParametricModel.compliance` says; give those that will be asked, or some like them.
+    Layers stay as thick as the scene's where following them would take a quarter of ``solver.memory_limit``.
     What an interrupted call has finished is not made again. Raises what a run of the scenario raises, and ScenarioError
     for the layered engine, which needs no such model.
     """
@@ -360,12 +363,14 @@ def parametric_model(
             "engine: a parametric model needs engine = 'fem'; the layered model solves each draw itself"
         )
     given = tuple(draws) if draws is not None else (ranges or Ranges()).draws(scenario, _POOL)
-    growth = growth or (Growth() if all(draw.limb == scenario.limb for draw in given) else _OF_THICKNESS)
     if not given:
         raise ScenarioError("a parametric model needs at least one draw to be made from; give some, or ranges")
     own = _with_all_sheets(scenario, given)
     tell(progress, "mesh", 0, 0)
     mesh, band = mesh or cached_mesh(own, base=Path(base), progress=progress), frequencies(own.sweep)
+    if _terms_bytes(own, mesh) > _ROOM * own.solver.memory_limit:
+        given = tuple(d if stretches(own.limb, d.limb) is None else d.changed({"limb": own.limb}) for d in given)
+    growth = growth or (Growth() if all(draw.limb == own.limb for draw in given) else _OF_THICKNESS)
     tissues = [(draw.tissues.model_dump(mode="json"), draw.limb.model_dump(mode="json")) for draw in given]
     key = digest_of([__version__, solve_key(own, mesh, band), tissues, astuple(growth)])[:32]
     shelf = Shelf(default_cache_dir() / "parametric" / f"{key}.sqlite", "the parametric model")
@@ -401,6 +406,12 @@ def _thicknesses(scenario: Scenario) -> tuple[float, ...]:
     """Of each layer [m], then of all together."""
     found = tuple(layer.thickness for layer in getattr(scenario.limb, "layers", ()))
     return (*found, sum(found))
+
+
+def _terms_bytes(scenario: Scenario, mesh: TissueMesh) -> float:
+    """Memory [bytes] that terms of other thicknesses take, about."""
+    unknowns = 60 if "P3" in scenario.element else 30  # of a tetrahedron
+    return _ENTRY * 0.3 * len(mesh.tetrahedra) * unknowns**2
 
 
 def _too_thick(own: Scenario, draw: Scenario, mesh: TissueMesh) -> bool:

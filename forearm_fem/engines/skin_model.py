@@ -253,6 +253,7 @@ def _sheets(scenario: Scenario) -> dict[str, float]:
         "skin membrane": sheet.stiffness + sheet.viscosity,
         "patch mass": patch.mass,
         "patch membrane": patch.stiffness + patch.viscosity,
+        "patch bending": patch.bending,
     }
 
 

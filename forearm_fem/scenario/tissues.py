@@ -13,6 +13,7 @@ Modulus = Annotated[float, Within(0.1, 1e13, "Pa")]
 Viscosity = Annotated[float, Within(1e-9, 1e6, "Pa s", zero=True)]
 PerLength = Annotated[float, Within(1e-9, 1e9, "N/m", zero=True)]
 SheetViscosity = Annotated[float, Within(1e-12, 1e6, "N s/m", zero=True)]
+Bending = Annotated[float, Within(1e-12, 1e3, "N m", zero=True)]
 PerArea = Annotated[float, Within(1e-9, 1e4, "kg/m^2", zero=True)]
 if TYPE_CHECKING:
     LawName = str
@@ -47,8 +48,8 @@ class Membrane(Part):
 
 
 class Patch(Part):
-    """Adhesive tape on a rectangle of the skin about the origin: mass and in-plane stiffness, no bending; off while
-    all of these are 0."""
+    """Adhesive tape on a rectangle of the skin about the origin: mass, in-plane and bending stiffness; off while all of
+    these are 0."""
 
     length: Length = Field(0.040, description="along the limb, x [m]; the thesis' 4 x 4 cm of reflective tape")
     width: Length = Field(0.040, description="across the limb, y, seen from above [m]")
@@ -57,18 +58,19 @@ class Patch(Part):
         0.0, description="in-plane shear stiffness mu*h = E h/3 [N/m]; E h of tape is of the order of 1e5 N/m"
     )
     viscosity: SheetViscosity = Field(0.0, description="in-plane eta*h [N s/m]")
+    bending: Bending = Field(0.0, description="bending stiffness E h^3/9 [N m]; 2e-5 to 2e-3 for tape")
 
     @model_validator(mode="after")
     def _something(self) -> Self:
         sizes = {"length", "width"} & self.model_fields_set
-        if sizes and not {"mass", "stiffness", "viscosity"} & self.model_fields_set:
+        if sizes and not {"mass", "stiffness", "viscosity", "bending"} & self.model_fields_set:
             raise idle(sizes, "tissues.patch has neither mass nor stiffness; give it one, or leave the patch out")
         return self
 
     @property
     def is_on(self) -> bool:
         """True if there is anything on the skin."""
-        return bool(self.mass or self.stiffness or self.viscosity)
+        return bool(self.mass or self.stiffness or self.viscosity or self.bending)
 
 
 class Tissues(Part):

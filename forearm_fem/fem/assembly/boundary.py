@@ -106,11 +106,11 @@ def _by_local_facet(space: MixedSpace, facets: IntArray, covered: Covered | None
         if covered is None:
             groups.append(_integrated(space, mine, f, rule))
             continue
-        inside = covered(*_places_and_normals(space, mine, facet_points(f, rule[0]), f))
+        inside = covered(*places_and_normals(space, mine, facet_points(f, rule[0]), f))
         whole, some = inside.all(axis=1), inside.any(axis=1)
         groups += [
             _integrated(space, mine[whole], f, rule),
-            _integrated(space, mine[some & ~whole], f, _in_pieces(*rule), covered),
+            _integrated(space, mine[some & ~whole], f, in_pieces(*rule), covered),
         ]
     return [group for group in groups if len(group[0])]
 
@@ -130,11 +130,11 @@ def _integrated(
     tangential = full - np.einsum("eqi,eqj,ebjq->ebiq", n, n, full, optimize=True)
     measure = length * rule[1]
     if covered is not None:
-        measure = np.where(covered(*_places_and_normals(space, mine, points, local)), measure, 0.0)
+        measure = np.where(covered(*places_and_normals(space, mine, points, local)), measure, 0.0)
     return mine, values, tangential, measure, n
 
 
-def _in_pieces(points: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+def in_pieces(points: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
     """A rule of the reference triangle, points (2, q) and weights (q,), on each of its _PIECES squared parts."""
     corners = [(i, j, 1) for i in range(_PIECES) for j in range(_PIECES - i)]
     corners += [(i, j, -1) for i in range(1, _PIECES) for j in range(1, _PIECES - i + 1)]  # these point backwards
@@ -157,7 +157,7 @@ def resting_nodes(space: MixedSpace, skin: IntArray) -> IntArray:
         ends = np.array([CUBIC_EDGES[e] for e in edges])
         vertex = np.eye(4)
         places = np.vstack([vertex[list(corners)], vertex[ends].mean(axis=1), vertex[list(corners)].mean(axis=0)])
-        down = rests(*_places_and_normals(space, mine, places[:, 1:].T, f))
+        down = rests(*places_and_normals(space, mine, places[:, 1:].T, f))
         columns = [[c] for c in corners] + [[4 + per_edge * e + i for i in range(per_edge)] for e in edges]
         columns += [[16 + f] if space.pair.name == "P3" else []]
         found += [space.nodes[mine[down[:, i]]][:, each].ravel() for i, each in enumerate(columns) if each]
@@ -170,7 +170,7 @@ def _crossed(jacobians: FloatArray, local: int) -> FloatArray:
     return np.cross(sides[..., 0], sides[..., 1])
 
 
-def _places_and_normals(
+def places_and_normals(
     space: MixedSpace, mine: IntArray, points: FloatArray, local: int
 ) -> tuple[FloatArray, FloatArray]:
     """Places on straight facets (k, q, 3) [m] and outward unit normals (k, q, 3) of bent ones at reference ``points``

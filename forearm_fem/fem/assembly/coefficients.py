@@ -171,14 +171,16 @@ def term_coefficient(
     """
     name, powers = unmarked(name)
     if powers is not None:
-        inner = term_coefficient(name, tissues, supports, membrane, patch)
-        return Scaled(factor(powers, stretches.get(name.partition(" ")[2], Stretch())), inner)
+        share = factor(powers, stretches.get(name.partition(" ")[2], Stretch()))
+        # nothing of a springpot is a polynomial, which it has no series at zero for
+        return Scaled(share, term_coefficient(name, tissues, supports, membrane, patch)) if share else Polynomial()
     whole: dict[str, Coefficient] = {
         "skin mass": Polynomial(inertia=membrane.mass),
         "skin tension": Polynomial(membrane.tension),
         "skin membrane": Polynomial(membrane.stiffness, membrane.viscosity),
         "patch mass": Polynomial(inertia=patch.mass),
         "patch membrane": Polynomial(patch.stiffness, patch.viscosity),
+        "patch bending": Polynomial(patch.bending),
         "incompressibility": _ONE,
         "compression": _ONE,
     }

@@ -23,6 +23,7 @@ from ..kernels.matrices import added, congruent
 from ..space.constraints import LinearConstraints, RigidDisc, constraints
 from ..space.numbering import MixedSpace
 from ..space.orders import Orders, element_orders
+from .bending import facet_bending
 from .boundary import (
     covered_area,
     facet_gradients,
@@ -206,13 +207,16 @@ def _boundaries(
 
 
 def _patch(space: MixedSpace, patch: Patch) -> Matrices:
-    """Mass and membrane of the ``patch`` on the skin that it covers seen from above; its edges cut through facets."""
+    """Mass, membrane and bending of the ``patch`` on the skin that it covers seen from above; edges cut through
+    facets."""
     skin, covered = space.mesh.facets["skin"], under_rectangle(patch.length, patch.width)
     if not covered_area(space, skin, covered):
         raise GeometryError("tissues.patch: no skin lies under it; make length and width larger, or leave it out")
     result: Matrices = [("patch mass", facet_mass(space, skin, covered))] if patch.mass else []
     if patch.stiffness or patch.viscosity:
         result.append(("patch membrane", facet_membrane(space, skin, covered)))
+    if patch.bending:
+        result.append(("patch bending", facet_bending(space, skin, covered)))
     return result
 
 

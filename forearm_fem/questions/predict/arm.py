@@ -391,6 +391,7 @@ def arm_model(
         for d in draws for own in [with_scene_geometry(scenario, d)]
     ]  # fmt: skip
     model = parametric_model(scenario, base=base, draws=known or None, progress=progress)
+    known = known if model.thickness else [with_scene_geometry(scenario, d) for d in known]
     try:
         meshes, without = arm_meshes(scenario, base, known or None, within(progress, "coarser mesh")), ""
     except ForearmError as problem:
