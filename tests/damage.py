@@ -18,8 +18,9 @@ from bad_files import CORNERS, TETRA
 from test_measurement_scene import INPUTS, RATE, wave_matrix
 
 from forearm_fem import files
-from forearm_fem.engines.skin_model import ReducedFile
+from forearm_fem.engines.skin_model import SkinModel
 from forearm_fem.errors import ForearmError
+from forearm_fem.fem.reduction.affine import AffineReduced
 from forearm_fem.files.reading import RecognitionWarning
 from forearm_fem.geometry.limb.filling import oriented
 from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
@@ -28,6 +29,7 @@ from forearm_fem.geometry.user.checks import with_boundaries
 from forearm_fem.measurement.recording import Recording, read_recording, write_recording
 from forearm_fem.results import files as io
 from forearm_fem.results.files import Wavefield
+from forearm_fem.scenario import Scenario
 from forearm_fem.store.record import load, save
 
 RNG = np.random.default_rng(0)
@@ -35,9 +37,8 @@ G = dataclasses.replace(
     wave_matrix(np.arange(10.0, 40.5, 2.0)), deviation=1e-8 * (1 + RNG.random((16, 9, 4))), provenance={"seed": 3}
 )
 SIGNALS = io.Signals(RNG.standard_normal((1, 2, 4, 50)), ("a",), ("1", "5"), tuple("wxyz"), np.arange(50) * 1e-4, "V")
-REDUCED = ReducedFile(
-    ("k", "m"), np.stack([np.eye(6), 2 * np.eye(6)]), RNG.standard_normal((6, 4)), np.ones(4), INPUTS, {"a": 1}
-)
+SMALL = AffineReduced(("k", "m"), np.stack([np.eye(6), 2 * np.eye(6)]), RNG.standard_normal((6, 4)), np.ones(4))
+REDUCED = SkinModel(Scenario(), INPUTS, SMALL)
 FIELD = Wavefield(
     np.arange(5.0) + 10, np.float64(np.float32(RNG.standard_normal((40, 3, 6)))), np.ones((5, 6, 4)) * (1 + 2j)
 )
@@ -65,7 +66,7 @@ class Format:
 FORMATS = (
     Format("transfer.nc", lambda p: io.write_transfer(p, G), io.read_transfer),
     Format("drives.nc", lambda p: io.write_drives(p, SIGNALS), io.read_drives),
-    Format("reduced.nc", lambda p: save(p, REDUCED), lambda p: load(p, ReducedFile)),
+    Format("reduced.nc", lambda p: save(p, REDUCED), lambda p: load(p, SkinModel)),
     Format("wavefield.nc", lambda p: save(p, FIELD), lambda p: load(p, Wavefield)),
     Format("recording.nc", lambda p: write_recording(p, RECORDING, "setup"), read_recording),
     Format("mesh.vtu", lambda p: write_mesh(MESH, p), read_mesh),

@@ -12,11 +12,9 @@ from forearm_fem.engines.notes import model_notes
 from forearm_fem.errors import SolverError
 from forearm_fem.fem.assembly.coefficients import Polynomial
 from forearm_fem.fem.linear.direct import make_solver
-from forearm_fem.fem.reduction.basis import Basis
+from forearm_fem.fem.reduction.affine import AffineReduced, condensed, with_last_columns
 from forearm_fem.fem.reduction.certificate import ResidualBound, sharp_modes
 from forearm_fem.fem.reduction.expansion import expansion_rate
-from forearm_fem.fem.reduction.poles import pole_residue
-from forearm_fem.fem.reduction.reduced_model import ReducedModel, condensed, empty_model, with_last_columns
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.results.run import SolutionRecord
 from forearm_fem.scenario.sweep import ReducedSolve
@@ -119,7 +117,7 @@ def test_pressures_that_are_noise_make_no_stiffness_negative(model, sweep):
     n_u, noise = model.operator.n_displacements, np.random.default_rng(0)
     noisy = np.hstack(reduced.basis.blocks)
     noisy[n_u:, -20:] *= 1 + 300 * noise.normal(size=noisy[n_u:, -20:].shape)
-    worse = with_last_columns(empty_model(model), model, noisy)
+    worse = with_last_columns(AffineReduced.of(model), model, noisy)
     pairs = np.array([m.copy() for m in worse.matrices])
     pairs[t] = worse.coupling + worse.coupling.T
     assert replace(worse, matrices=pairs).negative_directions() > 0  # so that the noise is seen to matter
@@ -139,7 +137,7 @@ def test_incompressible_tissue_keeps_each_displacements_own_pressure():
     """Its pressures have no energy by which the best could be told; without any, errors of solves enter unsquared."""
     nothing_gives = held_block(1, tissue=flesh())
     columns = np.random.default_rng(0).normal(size=(nothing_gives.operator.n, 3))
-    reduced = with_last_columns(empty_model(nothing_gives), nothing_gives, columns)
+    reduced = with_last_columns(AffineReduced.of(nothing_gives), nothing_gives, columns)
     found = reduced.matrices[reduced.names.index("incompressibility")]
     operator = nothing_gives.operator
     weights = np.array([float(t.name == "incompressibility") for t in operator.terms])
@@ -152,8 +150,8 @@ def test_unstable_poles_are_counted_as_they_are(stiffness):
     """As many as directions of negative stiffness; a direction without any, as of a free body, is none."""
     parts = (np.diag(stiffness), 0.1 * np.eye(4), np.eye(4))
     kinds = (Polynomial(1.0), Polynomial(rate=1.0), Polynomial(inertia=1.0))
-    reduced = ReducedModel(("a", "b", "c"), kinds, np.array(parts), np.eye(4), np.ones(4), Basis(), np.zeros((4, 0)))
-    poles = pole_residue(reduced).poles
+    reduced = AffineReduced(("a", "b", "c"), np.array(parts), np.eye(4), np.ones(4), coefficients=kinds)
+    poles = reduced.modes().poles
     assert reduced.negative_directions() == np.sum(poles.real > 1e-9) == np.sum(np.array(stiffness) < 0)
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from forearm_fem.fem.linear.direct import make_solver, watched
+from forearm_fem.fem.reduction.affine import AffineReduced, with_last_columns
 from forearm_fem.fem.reduction.certificate import DOUBTFUL, DualEstimate, ResidualBound, dual_estimate, error_at
 from forearm_fem.fem.reduction.expansion import Expander, expansion_rate
 from forearm_fem.fem.reduction.rate_space import RateSpace
-from forearm_fem.fem.reduction.reduced_model import empty_model, with_last_columns
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.store.shelf import Shelf
@@ -23,7 +23,7 @@ OPTIONS = ReducedSolve()
 
 def spaces(model, solver, counts):
     """Reduced models of so many derivatives about the band's rate, with the space that goes on to solve at it."""
-    space, reduced, out = RateSpace(solver, model.functionals, expansion_rate(BAND)), empty_model(model), {}
+    space, reduced, out = RateSpace(solver, model.functionals, expansion_rate(BAND)), AffineReduced.of(model), {}
     for count in counts:
         reduced = with_last_columns(reduced, model, space.more(count - space.derivatives).columns)
         out[count] = reduced
@@ -94,7 +94,7 @@ def test_sharp_resonances_take_another_certificate():
     model, band = held_block(2, tissue=flesh(eta=0.04, bulk=2.2e9)), np.arange(10.0, 221.0, 3.0)
     solver = make_solver(model, OPTIONS, 220.0)
     rate = expansion_rate(band)
-    space, reduced = RateSpace(solver, model.functionals, rate), empty_model(model)
+    space, reduced = RateSpace(solver, model.functionals, rate), AffineReduced.of(model)
     reduced = with_last_columns(reduced, model, space.more(20).columns)
     assert dual_estimate(ResidualBound(solver, rate), reduced, 220.0, space.solved).bound > DOUBTFUL
     swept = reduced_sweep(model, band, OPTIONS, tolerance=1e-4)

@@ -9,9 +9,9 @@ from forearm_fem.errors import SolverError
 from forearm_fem.fem.assembly.coefficients import rate_weights
 from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.linear.direct import ENOUGH, DirectSolver, make_solver, watched
+from forearm_fem.fem.reduction.affine import AffineReduced, with_last_columns
 from forearm_fem.fem.reduction.expansion import ROUNDED, expansion_rate
 from forearm_fem.fem.reduction.rate_space import Chunk, LoadSpace, RateSpace
-from forearm_fem.fem.reduction.reduced_model import empty_model, with_last_columns
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.laws import Hysteretic, KelvinVoigt
 from forearm_fem.scenario.sweep import ReducedSolve
@@ -147,7 +147,7 @@ def test_single_precision_solves_keep_columns_in_single_precision(model, truth, 
     assert np.abs(columns.T @ columns - np.eye(columns.shape[1])).max() < 1e-6
     monkeypatch.setattr(RateSpace, "_number", np.float64)
     chunks.append(single_space(model).more(20))
-    models = [with_last_columns(empty_model(model), model, chunk.columns) for chunk in chunks]
+    models = [with_last_columns(AffineReduced.of(model), model, chunk.columns) for chunk in chunks]
     errors = [relative_error(of_contacts(model, reduced.compliance(CHECK)), truth).max() for reduced in models]
     assert errors[0] < 2 * errors[1]  # either is what solves leave, to a factor that chance decides
 
@@ -173,7 +173,7 @@ def test_equal_forces_give_one_column(model):
 def test_it_ends_where_forces_reach_nothing_more():
     """A block of very few unknowns: no more columns than there are displacements, and the model is the system."""
     small = held_block(1, tissue=flesh(bulk=2.2e9))
-    space, reduced = space_of(small, DOUBLE), empty_model(small)
+    space, reduced = space_of(small, DOUBLE), AffineReduced.of(small)
     while (chunk := space.more(40)).columns.shape[1]:
         reduced = with_last_columns(reduced, small, chunk.columns)
     assert reduced.size <= small.operator.n_displacements
@@ -185,7 +185,7 @@ def test_it_ends_where_forces_reach_nothing_more():
 
 def test_more_derivatives_leave_less(model, truth):
     """The error falls by orders of magnitude, not to a floor above 1e-9: the sum of plain derivatives stops at 1e-4."""
-    space, reduced, errors = space_of(model, DOUBLE), empty_model(model), []
+    space, reduced, errors = space_of(model, DOUBLE), AffineReduced.of(model), []
     for _ in range(4):
         reduced = with_last_columns(reduced, model, space.more(15).columns)
         errors.append(relative_error(of_contacts(model, reduced.compliance(CHECK)), truth).max())
@@ -237,7 +237,7 @@ def test_factors_that_lose_too_much_are_made_good(model, truth, monkeypatch):
         return right(self, weights, forces)
 
     monkeypatch.setattr(DirectSolver, "about_rate", poor)
-    space, reduced = space_of(model), empty_model(model)
+    space, reduced = space_of(model), AffineReduced.of(model)
     reduced = with_last_columns(reduced, model, space.more(60).columns)
     assert len(solves) > 2 * 59
     assert relative_error(of_contacts(model, reduced.compliance(CHECK)), truth).max() < 1e-6
@@ -281,6 +281,6 @@ def test_rate_of_a_band():
 def test_the_lower_model_lacks_the_last_columns(model):
     space, f = space_of(model, DOUBLE), np.array([110.0, 400.0])
     first, second = space.more(12), space.more(10)
-    lower = with_last_columns(empty_model(model), model, first.columns)
+    lower = with_last_columns(AffineReduced.of(model), model, first.columns)
     both = with_last_columns(lower, model, second.columns)
     assert relative_error(both.lower().compliance(f), lower.compliance(f)).max() < 1e-9

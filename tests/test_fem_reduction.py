@@ -12,11 +12,10 @@ from forearm_fem.errors import SolverError
 from forearm_fem.fem.linear import factor as factors
 from forearm_fem.fem.linear.direct import DirectSolver, make_solver
 from forearm_fem.fem.reduction import basis as bases
+from forearm_fem.fem.reduction.affine import AffineReduced, extend, with_last_columns
 from forearm_fem.fem.reduction.basis import Basis, orthonormal_extension, real_columns
 from forearm_fem.fem.reduction.certificate import doubt, probe_frequencies
 from forearm_fem.fem.reduction.expansion import Expander, Snapshots, expansion_frequencies
-from forearm_fem.fem.reduction.poles import compressed, pole_residue
-from forearm_fem.fem.reduction.reduced_model import empty_model, extend, with_last_columns
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.laws import Hysteretic, KelvinVoigt, SpringPot, Zener
 from forearm_fem.scenario.sweep import ReducedSolve
@@ -56,7 +55,7 @@ def truth(model):
 def one_expansion(model):
     """Uncompressed space of one frequency with five derivatives, solved in double precision."""
     solver = make_solver(model, ReducedSolve(precision="double"), 100.0)
-    return extend(empty_model(model), model, solver.taylor(100.0, solver.at(100.0).values, ALL * 5))
+    return extend(AffineReduced.of(model), model, solver.taylor(100.0, solver.at(100.0).values, ALL * 5))
 
 
 def test_reduced_sweep_equals_direct_solves(sweep, truth):
@@ -224,7 +223,7 @@ def test_reduced_model_keeps_reciprocity_and_passivity(one_expansion):
 
 
 def test_compressed_model_keeps_structure_and_values(sweep, one_expansion):
-    small = compressed(one_expansion, BAND)
+    small = one_expansion.compressed(BAND)
     assert small.size <= one_expansion.size
     assert relative_error(small.compliance(BAND), one_expansion.compliance(BAND)).max() < 1e-7
     for matrix in sweep.reduced.matrices:
@@ -262,7 +261,7 @@ def test_derivatives_raise_the_order_of_contact(model):
     series = solver.taylor(100.0, solver.at(100.0).values, ALL * 2)
     exact = direct_sweep(model, np.array([104.0, 108.0]), OPTIONS).values
     for q in (0, 1):
-        space = extend(empty_model(model), model, series[: q + 1])
+        space = extend(AffineReduced.of(model), model, series[: q + 1])
         error = relative_error(space.compliance(np.array([104.0, 108.0])), exact)
         assert np.log2(error[1] / error[0]) > 2 * q + 1.5
 
@@ -285,7 +284,7 @@ def test_contacts_may_keep_more_derivatives_than_points(model):
     for orders in ((2, 1, 1, 1), (4, 0, 0, 0), (2, 2, 2, 2)):
         series = solver.taylor(100.0, solver.at(100.0).values, np.array(orders))
         assert [x.shape[1] for x in series] == [sum(o >= k for o in orders) for k in range(len(series))]
-        space = extend(empty_model(model), model, series, np.array(orders))
+        space = extend(AffineReduced.of(model), model, series, np.array(orders))
         error[orders] = float(relative_error(space.compliance(near)[:, 1:, :1], exact).max())
     assert error[2, 2, 2, 2] < error[2, 1, 1, 1]
     assert error[4, 0, 0, 0] < error[2, 1, 1, 1]
@@ -296,7 +295,7 @@ def test_lower_model_lacks_the_highest_derivative_of_each_port(model):
     spaces = []
     for orders in ((3, 1, 1, 1), (2, 0, 0, 0)):
         series = solver.taylor(100.0, solver.at(100.0).values, np.array(orders))
-        spaces.append(extend(empty_model(model), model, series, np.array(orders)))
+        spaces.append(extend(AffineReduced.of(model), model, series, np.array(orders)))
     assert relative_error(spaces[0].lower().compliance(f), spaces[1].compliance(f)).max() < 1e-6
 
 
@@ -322,13 +321,13 @@ def test_repeated_expansion_adds_nothing(model, one_expansion):
 
 
 def test_pole_residue_equals_dense_solves(sweep):
-    fast = pole_residue(sweep.reduced)
+    fast = sweep.reduced.modes()
     assert fast is not None
     assert relative_error(fast.compliance(BAND), sweep.reduced.compliance(BAND)).max() < 1e-8
 
 
 def test_poles_are_summed_alike_for_one_frequency_and_for_many(sweep):
-    fast, frequency = pole_residue(sweep.reduced), np.linspace(20.0, 200.0, 60)
+    fast, frequency = sweep.reduced.modes(), np.linspace(20.0, 200.0, 60)
     assert len(frequency) > len(fast.left) > 1  # all at once; one is summed by itself
     together = fast.compliance(frequency)
     single = np.concatenate([fast.compliance(frequency[k : k + 1]) for k in range(0, 60, 7)])
@@ -338,14 +337,14 @@ def test_poles_are_summed_alike_for_one_frequency_and_for_many(sweep):
 
 def test_states_from_poles_are_the_dense_ones(sweep):
     """Fields come from these; each state against its own largest entry, as compliances above."""
-    fast, ports = pole_residue(sweep.reduced), [0, sweep.reduced.functionals.shape[1] - 1]
+    fast, ports = sweep.reduced.modes(), [0, sweep.reduced.functionals.shape[1] - 1]
     exact = sweep.reduced.states(BAND)[:, :, ports] * sweep.reduced.shares[ports]
     found = fast.states(BAND, ports)
     assert np.abs(found - exact).max() < 1e-8 * np.abs(exact).max()
 
 
 def test_poles_of_a_passive_model_are_stable(sweep):
-    assert pole_residue(sweep.reduced).poles.real.max() < 0
+    assert sweep.reduced.modes().poles.real.max() < 0
 
 
 @pytest.mark.parametrize("modulus", [SpringPot(2680.0, 0.253), Zener(6e3, 12e3, 5.0), Hysteretic(8e3, 0.2)])
@@ -365,7 +364,7 @@ def test_other_moduli_fall_back_to_dense_reduced_solves(modulus):
     result = reduced_sweep(model, band, OPTIONS, tolerance=1e-5)
     exact = direct_sweep(model, band[[0, 20, 60]], OPTIONS).values
     assert relative_error(result.values[[0, 20, 60]], exact).max() < 1e-4
-    assert pole_residue(result.reduced) is None
+    assert result.reduced.modes() is None
 
 
 # --- parts -----------------------------------------------------------------------------------------------------------
@@ -455,7 +454,7 @@ def test_projected_matrices_are_those_of_dense_products(small, number):
     which costs the digits of S's condition, 1e3 for random columns.
     """
     rng = np.random.default_rng(3)
-    reduced, whole = empty_model(small), rng.normal(size=(small.operator.n, 9)).astype(number)
+    reduced, whole = AffineReduced.of(small), rng.normal(size=(small.operator.n, 9)).astype(number)
     for part in (whole[:, :5], whole[:, 5:]):
         reduced = with_last_columns(reduced, small, part)
     whole, split = whole.astype(float), small.operator.n_displacements
@@ -499,7 +498,7 @@ def test_probes_are_bins_that_are_not_known_yet():
 
 def test_doubt_finds_the_worst_frequency_and_bounds_its_error(model):
     """Two expansions at the low end: the model is worst at the other end."""
-    solver, reduced = make_solver(model, OPTIONS, 20.0), empty_model(model)
+    solver, reduced = make_solver(model, OPTIONS, 20.0), AffineReduced.of(model)
     for f in (20.0, 90.0):
         reduced = extend(reduced, model, solver.taylor(f, solver.at(f).values, ALL * 2))
     truth = direct_sweep(model, CHECK, OPTIONS).values
@@ -512,7 +511,7 @@ def test_doubt_finds_the_worst_frequency_and_bounds_its_error(model):
 
 def test_doubt_of_a_good_model_is_where_it_errs(model):
     """Leaving out weak directions too would point at 10 Hz, where a series reaches far and errs a hundredth as much."""
-    solver, reduced = make_solver(model, OPTIONS, 100.0), empty_model(model)
+    solver, reduced = make_solver(model, OPTIONS, 100.0), AffineReduced.of(model)
     for f in (40.0, 140.0, 320.0):
         reduced = extend(reduced, model, solver.taylor(f, solver.at(f).values, ALL * 4))
     error = relative_error(reduced.compliance(CHECK), direct_sweep(model, CHECK, OPTIONS).values)

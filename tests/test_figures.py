@@ -328,7 +328,7 @@ def test_vector_formats_and_any_back_end(folder: Path, tmp_path: Path) -> None: 
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "errors.pdf").read_bytes()[:5] == b"%PDF-"
-    assert "discretisation" in (tmp_path / "errors.svg").read_text(encoding="utf-8")
+    assert "reduced model" in (tmp_path / "errors.svg").read_text(encoding="utf-8")  # text, not outlines
 
 
 def test_widths_that_cannot_be_are_refused_and_nothing_is_drawn(run: Results, tmp_path: Path) -> None:

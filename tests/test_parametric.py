@@ -12,14 +12,13 @@ from forearm_fem.device import close_loop
 from forearm_fem.engines import parametric
 from forearm_fem.engines.fem import fem_model
 from forearm_fem.engines.layered import flat_ports
-from forearm_fem.engines.parametric import ParametricFile, Ranges, parametric_model
-from forearm_fem.engines.skin_model import with_scenario
+from forearm_fem.engines.parametric import ParametricModel, Ranges, parametric_model
 from forearm_fem.errors import DataError, ReductionError, ScenarioError, SolverError
 from forearm_fem.fem.linear.direct import DirectSolver
 from forearm_fem.fem.reduction.basis import Basis, rough_extension
 from forearm_fem.fem.reduction.parametric_greedy import Growing, Growth, TrialSolve
 from forearm_fem.fem.reduction.per_query_basis import Summed, _solved, quick_compliance, spanned
-from forearm_fem.fem.reduction.poles import chebyshev_frequencies, rational
+from forearm_fem.fem.reduction.rational import chebyshev_frequencies, rational
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.device.place import GridPlaces
@@ -171,12 +170,12 @@ def test_it_is_made_once_and_read_back(model, tmp_path, monkeypatch):
     assert again.checks == model.checks
     with pytest.raises(TypeError):
         parametric_model(parse_scenario(SCENE), growth=Growth(solves=9))
-    save(tmp_path / "parametric.nc", ParametricFile.of(model))
+    save(tmp_path / "parametric.nc", model)
     broken = bytearray((tmp_path / "parametric.nc").read_bytes())
     broken[len(broken) // 2] ^= 0xFF
     (tmp_path / "parametric.nc").write_bytes(broken)
     with pytest.raises(DataError):
-        load(tmp_path / "parametric.nc", ParametricFile)
+        load(tmp_path / "parametric.nc", ParametricModel)
 
 
 SMALL = Growth(rate=5, solves=3, checks=2, parts=2, states=15)
@@ -436,7 +435,7 @@ def test_a_rational_function_is_found_and_a_wild_one_told():
 def test_small_reduced_models_answer_in_single_precision(model):
     """Three digits are asked; double precision of the same model tells what single leaves."""
     for piece in model.pieces:
-        drawn = with_scenario(piece.whole, Ranges().draws(parse_scenario(SCENE), 3, seed=21)[1])
+        drawn = piece.whole.at(Ranges().draws(parse_scenario(SCENE), 3, seed=21)[1])
         f = PROBES[piece.high >= PROBES][-1:]
         exact, quick = drawn.compliance(f), quick_compliance(drawn, f)
         assert np.nanmax(np.abs(quick - exact)) < 1e-3 * np.nanmax(np.abs(exact))
@@ -450,7 +449,7 @@ def test_a_draws_solutions_at_few_frequencies_carry_all_others(model):
     for draw in Ranges().draws(parse_scenario(SCENE), 3, seed=22):
         low = 20.0
         for piece in model.pieces:
-            system, band = Summed.of(with_scenario(piece.whole, draw)), np.arange(low, piece.high, 0.5)
+            system, band = Summed.of(piece.whole.at(draw)), np.arange(low, piece.high, 0.5)
             low, known, rough = piece.high, *(spanned(system, band, t, WATCHED) for t in (1e-3, 0.2))
             exact = quick_compliance(system.reduced, band[::7])
             size = np.abs(exact[(slice(None), *WATCHED)]).max(axis=(1, 2))
@@ -470,7 +469,7 @@ def test_a_span_that_is_singular_somewhere_is_a_named_error():
 
 def test_other_loads_are_solved_beside(model):
     """Points read elsewhere, at the ends and in the middle of the band, as from a model of their own."""
-    drawn = with_scenario(model.pieces[0].whole, Ranges().draws(parse_scenario(SCENE), 1, seed=23)[0])
+    drawn = model.pieces[0].whole.at(Ranges().draws(parse_scenario(SCENE), 1, seed=23)[0])
     others = drawn.functionals[:, ::-1] + 0.1 * drawn.functionals
     known = spanned(Summed.of(drawn), np.arange(20.0, model.pieces[0].high), 0.1, WATCHED, others)
     exact = quick_compliance(replace(drawn, functionals=others), known.solved[:3])

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from forearm_fem.engines.fem import FemSolution
-from forearm_fem.engines.solved import _Store, field_modes
+from forearm_fem.engines.solved import field_modes
 from forearm_fem.errors import SolverError
 from forearm_fem.fem.linear import direct
 from forearm_fem.fem.linear.factor import available_backends
@@ -23,6 +23,7 @@ from forearm_fem.results.files import read_compliance, read_transfer
 from forearm_fem.results.run import read_run
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.sweep import ReducedSolve
+from forearm_fem.store.shelf import Shelf
 from forearm_fem.transfer import Compliance
 from forearm_fem.verification.scenes import held_block
 
@@ -105,10 +106,9 @@ def test_the_solver_that_was_used_is_on_record(finished):
 
 
 @pytest.mark.parametrize("left", [0, 1000, 100_000])
-def test_a_snapshot_that_was_cut_off_is_none(tmp_path, monkeypatch, left):
+def test_a_snapshot_that_was_cut_off_is_none(tmp_path, left):
     """A resumed solve is that of one go to the bit, so what is kept has all its digits."""
-    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))
-    store = Snapshots(_Store("a").parts)
+    store = Snapshots(Shelf(tmp_path / "parts.sqlite"))
     random = np.random.default_rng(0)
     series = tuple(random.normal(size=(20_000, 2)) + 1j for _ in range(2))
     store.put(Expansion(50.0, series, 1e-9, 1e-10))

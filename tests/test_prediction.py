@@ -76,7 +76,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Prediction, Path]:
 
 
 def test_an_interrupted_prediction_goes_on_with_the_same_numbers(
-    found: tuple[Prediction, Path], tmp_path: Path
+    found: tuple[Prediction, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole, _ = found
 
@@ -86,12 +86,14 @@ def test_an_interrupted_prediction_goes_on_with_the_same_numbers(
 
     with pytest.raises(KeyboardInterrupt):
         predict(question(), tmp_path, draws=N, workers=1, progress=stop)
-    assert len(Shelf(tmp_path / WORK).known()) == 7
+    assert len(Shelf(tmp_path / WORK).known()) == 1 + 7  # the scene itself, and draws
     assert not (tmp_path / DRAWS_FILE).exists()
+    monkeypatch.setattr(runs, "simulate", lambda *asked, **how: pytest.fail("the scene itself was solved again"))
     again = predict(question(), tmp_path, draws=N, workers=1)
     assert again.reused == 7
     assert np.array_equal(again.draws.strengths, whole.draws.strengths)
     assert np.array_equal(again.draws.drivers, whole.draws.drivers)
+    assert np.array_equal(again.nominal.low, whole.nominal.low)
 
 
 def test_other_processes_give_the_same_numbers(
@@ -319,14 +321,20 @@ def test_arms_of_shorter_waves_than_the_mesh_was_made_for_are_told(found: tuple[
     assert "50% of the arms have shorter waves in some tissue, one in twenty by a factor of 2 or" in _numerics(told)
 
 
-def test_an_interruption_before_the_first_draw_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interruption_before_the_first_draw_leaves_what_is_solved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def stop(*_: object) -> Outcome:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(runs, "drawn", stop)
     with pytest.raises(KeyboardInterrupt):
         predict(question(), tmp_path, draws=N, workers=1)
-    assert not list(tmp_path.iterdir())
+    assert len(Shelf(tmp_path / WORK).known()) == 1
+    monkeypatch.setattr(runs, "simulate", stop)
+    with pytest.raises(KeyboardInterrupt):
+        predict(question(), tmp_path / "nothing", draws=N, workers=1)
+    assert not (tmp_path / "nothing").exists()
 
 
 def test_quantiles_by_hand() -> None:

@@ -11,7 +11,8 @@ from scenes import once
 from forearm_fem.accuracy.other_tissues import carried, shortening
 from forearm_fem.device import close_loop
 from forearm_fem.engines.fem import fem_model
-from forearm_fem.engines.skin_model import load_skin_model, save_skin_model
+from forearm_fem.engines.simulation import simulate
+from forearm_fem.engines.skin_model import load_skin_model
 from forearm_fem.errors import AccuracyWarning, DataError, ReductionError, ScenarioError
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.mesh.files import read_mesh
@@ -19,6 +20,7 @@ from forearm_fem.laws import KelvinVoigt
 from forearm_fem.questions.run import Run, run_solve
 from forearm_fem.results.files import read_transfer
 from forearm_fem.scenario import parse_scenario
+from forearm_fem.store.record import save
 from forearm_fem.tissue import Tissue
 from forearm_fem.transfer import Compliance, ErrorEstimate, band_error, relative_error, total_error
 
@@ -34,6 +36,8 @@ SCENE = {
     "solver": {"discretisation_estimate": False},
     "sweep": {"f_min": 40.0, "f_max": 400.0},
 }  # fmt: skip
+SPACE = ("linear solve", "reduction")
+STIFFER = {"tissues.override.muscle.mu": 12000.0}
 
 
 def solve(folder):
@@ -61,7 +65,6 @@ def test_poles_of_the_file_are_those_of_its_matrices(solved):
     assert model.poles is not None
     anew = replace(model, poles=None).transfer(transfer.frequency)
     assert relative_error(anew.values, transfer.values).max() < 1e-5
-    assert model.changed(["tissues.override.muscle.mu=12000.0"]).poles is None
 
 
 def test_file_is_small_and_gives_any_frequency(solved):
@@ -80,8 +83,8 @@ def test_other_moduli_follow_without_a_mesh_and_state_their_error(solved, change
     mesh = read_mesh(folder / "mesh.vtu")
     values = direct_sweep(fem_model(anew, mesh), some, anew.solver).values
     exact = close_loop(Compliance(some, values, model.ports), anew.device)
-    asked = [f"tissues.override.{t}.{k}={v}" for t, keys in change.items() for k, v in keys.items()]
-    found = model.changed(asked).transfer(some)
+    asked = {f"tissues.override.{t}.{k}": v for t, keys in change.items() for k, v in keys.items()}
+    found = model.transfer(some, model.scenario.changed(asked))
     true, stated = band_error(found.values, exact.values), {e.source: e.band for e in found.errors}
     assert 0.5 * true < stated["reduction"] < 6 * true
     assert true < 0.5 * band_error(model.transfer(some).values, exact.values)
@@ -94,15 +97,15 @@ def test_the_run_s_own_answers_carry_its_errors(solved):
     found = {e.source: e.band for e in model.transfer(transfer.frequency).errors}
     assert found == pytest.approx({e.source: e.band for e in transfer.errors}, nan_ok=True)
     with pytest.warns(AccuracyWarning):
-        beyond = model.changed(["tissues.override.muscle.mu=12000.0"]).transfer(np.array([100.0, 900.0]))
+        beyond = model.transfer(np.array([100.0, 900.0]), model.scenario.changed(STIFFER))
     assert np.isnan(total_error(beyond.errors))
 
 
 def test_without_directions_for_other_tissues_these_are_refused(solved):
     model = replace(load_skin_model(solved[0] / "reduced.nc"), core=0)
-    model.changed(["device.coil.moving_mass=0.01"])
+    assert model.holds(model.scenario.changed({"device.coil.moving_mass": 0.01})) == ""
     with pytest.raises(ScenarioError, match="tells no error for other tissues"):
-        model.changed(["tissues.override.muscle.mu=12000.0"])
+        model.transfer(np.array([100.0]), model.scenario.changed(STIFFER))
 
 
 def test_errors_by_mesh_and_ends_are_those_where_waves_were_as_long():
@@ -122,38 +125,49 @@ def test_errors_by_mesh_and_ends_are_those_where_waves_were_as_long():
     assert ends.per_frequency == pytest.approx((0.01 * 2**2, 0.01, 0.02, 0.03))
 
 
+def test_the_file_is_an_engine(solved):
+    """Another tissue through ``simulate``: the same G, and no source of error is forgotten on the way."""
+    model = load_skin_model(solved[0] / "reduced.nc")
+    model = replace(model, errors=(*model.errors[:2], ErrorEstimate("discretisation", 0.02, "told")))
+    stiffer = model.scenario.changed(STIFFER)
+    by_engine, own = simulate(stiffer, engine=model).transfer, model.transfer(solved[1].frequency, stiffer)
+    assert np.array_equal(by_engine.values, own.values)
+    assert {e.source for e in by_engine.errors} == {e.source for e in own.errors} == {*SPACE, "discretisation"}
+
+
 @pytest.mark.parametrize(
     ("change", "key"),
     [
-        ("limb.depth=0.02", "limb"),
-        ("device.cone.radius=0.004", "device"),
-        ("device.actuator='ERM'", "device.actuator"),
-        ("tissues.override.muscle.bulk=1e8", "tissues.override.muscle"),
-        ("tissues.membrane.tension=5.0", "tissues.membrane"),
+        ({"limb.depth": 0.02}, "limb"),
+        ({"device.cone.radius": 0.004}, "device"),
+        ({"device.actuator": "ERM"}, "device.actuator"),
+        ({"tissues.override.muscle.bulk": 1e8}, "tissues.override.muscle"),
+        ({"tissues.membrane.tension": 5.0}, "tissues.membrane"),
     ],
 )
 def test_what_it_cannot_follow_is_refused(solved, change, key):
+    model = load_skin_model(solved[0] / "reduced.nc")
     with pytest.raises(ScenarioError, match=f"^{key}"):
-        load_skin_model(solved[0] / "reduced.nc").changed([change])
+        model.transfer(np.array([100.0]), model.scenario.changed(change))
 
 
 def test_unstable_model_is_refused_outside_its_band(solved, tmp_path):
     """From the file alone: as of a version that kept pressures that were noise; 5 % beyond are allowed."""
     folder, _ = solved
     model = load_skin_model(folder / "reduced.nc")
-    assert model.reduced.negative_directions() == 0
+    assert model.reduced.at(model.scenario).negative_directions() == 0
     with pytest.warns(AccuracyWarning, match=r"2 frequencies lie outside the band of this reduced model, 40 to 400 Hz"):
         assert np.isfinite(model.transfer(np.array([5.0, 100.0, 900.0])).values).all()  # stable
     matrices = model.reduced.matrices.copy()
     matrices[model.reduced.names.index("compression")][-1, -1] -= 10 * np.abs(matrices).max()
-    save_skin_model(tmp_path / "bad.nc", replace(model, reduced=replace(model.reduced, matrices=matrices)))
+    save(tmp_path / "bad.nc", replace(model, reduced=replace(model.reduced, matrices=matrices)))
     bad = load_skin_model(tmp_path / "bad.nc")
-    bad.compliance(np.array([39.0, 200.0, 410.0]))
+    bad.transfer(np.array([39.0, 200.0, 410.0]))
     for f in (30.0, 450.0):
         with pytest.raises(ReductionError, match=f"{f:g} Hz is outside the band .* unstable poles"):
-            bad.compliance(np.array([200.0, f]))
+            bad.transfer(np.array([200.0, f]))
         with pytest.raises(ReductionError):
-            bad.changed(["tissues.override.muscle.mu=12000.0"]).transfer(np.array([f]))
+            bad.transfer(np.array([f]), bad.scenario.changed(STIFFER))
 
 
 @pytest.mark.parametrize("frequency", [[], [100.0, np.nan], [-50.0], [[100.0]]])

@@ -9,11 +9,11 @@ from scipy.sparse import csr_array, diags
 from forearm_fem.engines import parametric
 from forearm_fem.engines.fem import fem_model
 from forearm_fem.engines.parametric import Ranges, parametric_model
-from forearm_fem.engines.skin_model import coefficients_of
 from forearm_fem.errors import GeometryError
 from forearm_fem.fem.assembly.coefficients import grouped
 from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.assembly.thickness import follows_thickness, motion_of
+from forearm_fem.fem.reduction.affine import coefficients_of
 from forearm_fem.fem.reduction.parametric_greedy import Growth
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.cache import cached_mesh

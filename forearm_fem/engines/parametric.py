@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -17,11 +16,10 @@ from ..errors import GeometryError, ReductionError, ScenarioError
 from ..fem.assembly.model import readings
 from ..fem.assembly.thickness import follows_thickness, motion_of
 from ..fem.kernels.compiled import freed_memory_kept
-from ..fem.reduction.basis import Basis
+from ..fem.reduction.affine import AffineReduced, coefficients_of
 from ..fem.reduction.parametric_greedy import Growth, Piece, TrialSolve, piece_at, united_model
 from ..fem.reduction.per_query_basis import FIRST, Summed, spanned
-from ..fem.reduction.poles import chebyshev_frequencies, rational
-from ..fem.reduction.reduced_model import ReducedModel
+from ..fem.reduction.rational import chebyshev_frequencies, rational
 from ..geometry.cache import cached_mesh
 from ..geometry.device.place import GridPlaces, grid_places
 from ..geometry.limb.thickness import stretched, stretches
@@ -40,13 +38,10 @@ from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray
 from ..user_cache import default_cache_dir
 from .fem import fem_model, masked
-from .skin_model import check_followable, coefficients_of, unfollowed, with_scenario
+from .skin_model import BEYOND, unfollowed
 from .solved import solve_key
 
 _MODEL = "model"  # the key of the finished one
-# Keys that compliances do not follow from: a draw may differ in them.
-_UNREAD = ("rendering", "measurement", "sweep", "solver", "accuracy", "schema_version")
-BEYOND = 1.05  # ratio to the ends of the band up to which a draw is answered
 _NODES = 33  # frequencies of a piece that a draw's rational function is made from; up to so many are solved as asked
 _SPANNED = 1e-3  # of the largest entry of points under contacts: what the span of a draw's solutions may err by there
 _BETWEEN = 2e-4  # of the largest entry: what a rational function may miss at the nodes that it does not pass through
@@ -99,18 +94,22 @@ def soft_tissues(scenario: Scenario) -> tuple[str, ...]:
     return tuple(dict.fromkeys(t for t in tissue_keys(scenario.limb).values() if t != "bone"))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ParametricModel:
     """A limb seen through its ports for any tissue, tension and tape near those it was made from.
 
     ``pieces`` are the reduced models of the parts of the band. ``checks`` are comparisons with direct solves that had
     no part in making them; ``factor`` is what their estimates were too small by. ``around`` are the places where points
     of the grid can be read, None where they stay where they are. ``thickness`` [m] are the least and the largest of
-    each layer that it was made for, then of all together; empty where layers stay as they are.
+    each layer that it was made for, then of all together; empty where layers stay as they are. It is
+    kept in the cache as it stands here.
     """
 
+    kind: ClassVar[str] = "parametric model"
+    version: ClassVar[int] = 2
+
     scenario: Scenario
-    ports: tuple[Port, ...]
+    ports: tuple[Port, ...] = field(metadata=dims("port"))
     pieces: tuple[Piece, ...]
     trials: tuple[TrialSolve, ...]
     checks: tuple[TrialSolve, ...]
@@ -125,12 +124,9 @@ class ParametricModel:
 
     def holds(self, scenario: Scenario) -> str:
         """See :class:`.Engine`: scenarios that differ in what the model's terms can follow."""
-        return unfollowed(self.scenario, scenario, self.names, unread=self._unread(scenario))
-
-    def _unread(self, scenario: Scenario) -> set[str]:
-        """Keys in which the ``scenario`` may differ."""
-        grid = {"grid"} if self.follows(scenario) else set()
-        return {*_UNREAD, *grid, *({"limb"} if self.stretches(scenario) else ())}
+        grid, limb = self.follows(scenario), self.stretches(scenario)
+        unread = {key for key, may in (("grid", grid), ("limb", limb)) if may}
+        return unfollowed(self.scenario, scenario, self.names, unread=unread)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -188,7 +184,8 @@ class ParametricModel:
 
     def _asked(self, scenario: Scenario, frequency: FloatArray) -> list[tuple[Piece, BoolArray]]:
         """Pieces of the band with the places (n,) of the frequencies that they answer; raises as :meth:`compliance`."""
-        check_followable(self.scenario, scenario, self.names, unread=self._unread(scenario))
+        if reason := self.holds(scenario):
+            raise ScenarioError(reason)
         band = frequencies(self.scenario.sweep)
         beyond = frequency[(frequency < band[0] / BEYOND) | (frequency > band[-1] * BEYOND)]
         if len(beyond):
@@ -210,10 +207,10 @@ class ParametricModel:
         missed = self._missed(found)
         return Compliance(frequency, masked(values, self.ports), self.ports, (self._error(found, missed),)), missed
 
-    def _drawn(self, piece: Piece, scenario: Scenario) -> tuple[Piece, ReducedModel]:
+    def _drawn(self, piece: Piece, scenario: Scenario) -> tuple[Piece, AffineReduced]:
         """The models of a ``piece`` with the draw's coefficients and with its points where its grid lies, and the whole
         one with points read by polynomials of two degrees less, which tells what these err by."""
-        whole, core = (with_scenario(m, scenario, self.scenario.limb) for m in (piece.whole, piece.core))
+        whole, core = (m.at(scenario, self.scenario.limb) for m in (piece.whole, piece.core))
         if self.around is not None and not self._reads_own(scenario):
             degree, above = self.around.count - 1, self.around.turned and scenario.grid.direction == "vertical"
             shares, rougher = (self.around.shares(scenario, d) for d in (degree, degree - _ROUGHER))
@@ -221,7 +218,7 @@ class ParametricModel:
             return replace(piece, whole=self._moved(whole, shares, above), core=self._moved(core, shares, above)), rough
         return replace(piece, whole=whole, core=core), whole
 
-    def _moved(self, reduced: ReducedModel, shares: FloatArray, above: bool) -> ReducedModel:
+    def _moved(self, reduced: AffineReduced, shares: FloatArray, above: bool) -> AffineReduced:
         """The model whose points read ``shares`` (n_point, k) of the k places around each, along the normals or from
         ``above``."""
         points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
@@ -230,7 +227,7 @@ class ParametricModel:
         functionals[:, points] = np.einsum("rpk,pk->rp", places, shares)
         return replace(reduced, functionals=functionals)
 
-    def _answered(self, drawn: Piece, rough: ReducedModel, frequency: FloatArray) -> _Answer:
+    def _answered(self, drawn: Piece, rough: AffineReduced, frequency: FloatArray) -> _Answer:
         """Answer of a ``drawn`` piece at ``frequency`` (n,): values, interpolation error, and values of its core and
         of the model of ``rough`` points."""
         system, moved = Summed.of(drawn.whole), rough is not drawn.whole
@@ -374,9 +371,8 @@ def parametric_model(
     tissues = [(draw.tissues.model_dump(mode="json"), draw.limb.model_dump(mode="json")) for draw in given]
     key = digest_of([__version__, solve_key(own, mesh, band), tissues, astuple(growth)])[:32]
     shelf = Shelf(default_cache_dir() / "parametric" / f"{key}.sqlite", "the parametric model")
-    with suppress(ScenarioError):
-        if (kept := shelf.record(_MODEL, ParametricFile)) is not None:
-            return kept.model
+    if (kept := shelf.record(_MODEL, ParametricModel)) is not None:
+        return kept
     tell(progress, "matrices", 0, 0)
     given = tuple(draw for draw in given if not _too_thick(own, draw, mesh))
     if not given:
@@ -386,18 +382,20 @@ def parametric_model(
     names = tuple(t.name for t in model.operator.terms)
     moves = follows_thickness(names)
     for draw in given:
-        check_followable(own, draw, names, unread=(*_UNREAD, "limb") if moves else _UNREAD)
+        if reason := unfollowed(own, draw, names, unread=("limb",) if moves else ()):
+            raise ScenarioError(reason)
     found = [coefficients_of(names, draw, own.limb) for draw in given]
     parts = Shelf(shelf.file.with_name(f"{key}-parts.sqlite"), "what is solved for the parametric model")
     around = grid_places(own, mesh)
     read = readings(model, around[1] if around else ())
     with freed_memory_kept():
         united = united_model(model, found, band, own.solver, growth, parts, progress, read)
+    thickness = tuple((min(t), max(t)) for t in zip(*(_thicknesses(d) for d in (own, *given)), strict=True))
     made = ParametricModel(
-        own, model.ports, united.pieces, united.trials, united.checks, united.solves, around[0] if around else None,
-        tuple((min(t), max(t)) for t in zip(*(_thicknesses(d) for d in (own, *given)), strict=True)) if moves else (),
+        own, model.ports, *united, 1 + growth.solves + growth.checks, around[0] if around else None,
+        thickness if moves else (),
     )  # fmt: skip
-    if shelf.keep(_MODEL, ParametricFile.of(made)):
+    if shelf.keep(_MODEL, made):
         parts.remove()
     return made
 
@@ -423,74 +421,6 @@ def _too_thick(own: Scenario, draw: Scenario, mesh: TissueMesh) -> bool:
     except GeometryError:
         return True
     return False
-
-
-@dataclass(frozen=True, eq=False)
-class _Reduced:
-    """A reduced model of a piece: ``matrices`` (n_term, r, r), ``functionals`` (r, n_port), ``places`` (r, k)."""
-
-    matrices: FloatArray = field(metadata=dims("term entry", upper=True))
-    functionals: FloatArray = field(metadata=dims("row port"))
-    places: FloatArray = field(metadata=dims("row place"))
-
-    @classmethod
-    def of(cls, model: ReducedModel) -> _Reduced:
-        """Record of a model, as it is kept on file."""
-        return cls(model.matrices, model.functionals, model.places)
-
-
-@dataclass(frozen=True, eq=False)
-class _PieceOfFile:
-    """The models of the part of the band up to ``high`` [Hz]; the ``core`` is for the estimate of errors."""
-
-    high: float
-    whole: _Reduced
-    core: _Reduced
-
-
-@dataclass(frozen=True, eq=False)
-class ParametricFile:
-    """Reduced models for many tissues, one for each part of the band, and what they were compared with."""
-
-    kind: ClassVar[str] = "parametric model"
-    version: ClassVar[int] = 1
-
-    names: tuple[str, ...] = field(metadata=dims("term", name="term"))
-    shares: FloatArray = field(metadata=dims("port", name="share"))
-    ports: tuple[Port, ...] = field(metadata=dims("port"))
-    pieces: tuple[_PieceOfFile, ...]
-    trials: tuple[TrialSolve, ...]
-    checks: tuple[TrialSolve, ...]
-    scenario: dict[str, Any]
-    solves: int
-    around: GridPlaces | None
-    thickness: tuple[tuple[float, float], ...] = ()
-
-    @classmethod
-    def of(cls, model: ParametricModel) -> ParametricFile:
-        """The file of a model."""
-        first = model.pieces[0].whole
-        pieces = tuple(_PieceOfFile(p.high, *(_Reduced.of(m) for m in (p.whole, p.core))) for p in model.pieces)
-        return cls(
-            first.names, first.shares, model.ports, pieces, model.trials, model.checks,
-            model.scenario.model_dump(mode="json"), model.solves, model.around, model.thickness,
-        )  # fmt: skip
-
-    @property
-    def model(self) -> ParametricModel:
-        """The model of a file; ScenarioError for a scenario that is not known."""
-        scenario = parse_scenario(self.scenario)
-
-        def reduced(of: _Reduced) -> ReducedModel:
-            """A reduced model from its arrays, with the scenario's coefficients."""
-            low = np.zeros((len(of.functionals), 0))
-            arrays = of.matrices, of.functionals, self.shares
-            return with_scenario(ReducedModel(self.names, (), *arrays, Basis(), low, places=of.places), scenario)
-
-        pieces = tuple(Piece(p.high, reduced(p.whole), reduced(p.core)) for p in self.pieces)
-        return ParametricModel(
-            scenario, self.ports, pieces, self.trials, self.checks, self.solves, self.around, self.thickness
-        )
 
 
 def _with_all_sheets(scenario: Scenario, draws: Sequence[Scenario]) -> Scenario:

@@ -6,58 +6,70 @@ import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from ..accuracy.other_tissues import carried, probes, shortening, space_error
 from ..device import close_loop
 from ..errors import AccuracyWarning, DataError, ReductionError, ScenarioError
-from ..fem.assembly.coefficients import Coefficient, term_coefficient
-from ..fem.reduction.basis import Basis
-from ..fem.reduction.poles import PoleResidue, pole_residue
-from ..fem.reduction.reduced_model import ReducedModel
-from ..geometry.limb.thickness import stretches
+from ..fem.reduction.affine import AffineReduced, Modes
 from ..ports import Port
-from ..scenario import Scenario, parse_scenario
-from ..scenario.limb import Limb
-from ..scenario.load import read_overrides
+from ..scenario import Scenario
 from ..scenario.sweep import frequencies
-from ..store.record import dims, load, save
+from ..store.record import dims, load
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix
-from ..typing import ComplexArray, FloatArray
+from ..typing import FloatArray
 from .fem import masked
 
-__all__ = ["SkinModel", "check_followable", "load_skin_model", "save_skin_model", "with_scenario"]
+__all__ = ["SkinModel", "load_skin_model"]
 
-_MAY_CHANGE = {"tissues", "device", "name", "description"}
-_BEYOND = 1.05  # ratio to the ends of the band up to which a model with unstable poles is trusted
+# Keys in which a scenario may differ: terms follow them, or compliances do not follow from them.
+_MAY_CHANGE = ("tissues", "device", "name", "description", "rendering", "measurement", "sweep", "solver", "accuracy")
+BEYOND = 1.05  # ratio to the ends of the band up to which a model with unstable poles is trusted
 _OF_SPACE = ("reduction", "linear solve")  # sources of errors of a compliance; mesh and ends are told of G
 _BEYOND_BAND = "not estimated: frequencies lie outside the band that was solved; solve a wider one"
 _NOT_AFFINE = "the bulk modulus is not a parameter of the reduced model; solve the scenario anew"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SkinModel:
-    """A limb seen through its ports: ``reduced`` matrices with the coefficients of ``scenario``.
+    """A limb seen through its ports, by the ``reduced`` matrices of the ``scenario`` that was solved: ``reduced.nc``.
 
-    ``core`` is how many of its directions, the first, were certified for the scenario that was ``solved``; the others
-    serve other moduli (:func:`.widened`), 0 where there are none. ``poles`` are what the sweep found for its
-    coefficients; without them each evaluation finds its own. ``errors`` are those of the solved compliance, then those
-    of its G by mesh and ends. ``solved`` is None where the scenario is the solved one.
+    ``core`` is how many of its directions, the first, were certified for this scenario; the others serve other moduli
+    (:func:`.widened`), 0 where there are none. ``poles`` are what the sweep found. ``errors`` are those of the solved
+    compliance, then those of its G by mesh and ends.
     """
 
+    kind: ClassVar[str] = "reduced model"
+    version: ClassVar[int] = 3
+
     scenario: Scenario
-    ports: tuple[Port, ...]
-    reduced: ReducedModel
-    poles: PoleResidue | None = None
+    ports: tuple[Port, ...] = field(metadata=dims("port"))
+    reduced: AffineReduced = field(metadata=dims(name=""))
+    poles: Modes | None = None
     core: int = 0
     errors: tuple[ErrorEstimate, ...] = ()
-    solved: Scenario | None = None
 
-    def compliance(self, frequency: FloatArray) -> Compliance:
-        """Compliance of all ports at ``frequency`` (n,) [Hz] with its error; NaN for a point force under itself.
+    @property
+    def name(self) -> str:
+        """See :class:`.Engine`."""
+        return "reduced model of a run"
+
+    def holds(self, scenario: Scenario) -> str:
+        """See :class:`.Engine`: other tissues (not their bulk moduli) and devices (not their places)."""
+        if reason := unfollowed(self.scenario, scenario, self.reduced.names):
+            return reason
+        if self.core or scenario.tissues == self.scenario.tissues:
+            return ""
+        return (
+            "tissues: this reduced model tells no error for other tissues; solve the scenario anew, which is then kept "
+            "with what other tissues ask for"
+        )
+
+    def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
+        """Compliance of all ports at ``frequency`` (n,) [Hz] with its errors; NaN for a point force under itself.
 
         Frequencies more than 5 % beyond the band are answered with an AccuracyWarning, and the error is unknown. Raises
         ReductionError for them where the model has unstable poles, as it may for incompressible tissue; DataError for
@@ -65,9 +77,12 @@ class SkinModel:
         """
         if frequency.ndim != 1 or not len(frequency) or not np.all(np.isfinite(frequency) & (frequency >= 0)):
             raise DataError("frequency: expected a row of one or more, finite and not negative [Hz]; correct it")
+        if reason := self.holds(scenario):
+            raise ScenarioError(reason)
+        drawn, solved = self.reduced.at(scenario), scenario.tissues == self.scenario.tissues
         band = frequencies(self.scenario.sweep)
-        beyond = frequency[(frequency < band.min() / _BEYOND) | (frequency > band.max() * _BEYOND)]
-        if len(beyond) and (count := self.reduced.negative_directions()):
+        beyond = frequency[(frequency < band.min() / BEYOND) | (frequency > band.max() * BEYOND)]
+        if len(beyond) and (count := drawn.negative_directions()):
             raise ReductionError(
                 f"{beyond[0]:g} Hz is outside the band of this reduced model, {band.min():g} to {band.max():g} Hz, and "
                 f"the model has {count} unstable poles there: solve a wider band (sweep.f_min, sweep.f_max), or anew "
@@ -80,146 +95,69 @@ class SkinModel:
                 AccuracyWarning,
                 stacklevel=2,
             )
-        used = self._certified if self.solved is None else self.reduced
-        values = masked((self.poles or pole_residue(used, frequency) or used).compliance(frequency), self.ports)
-        found = Compliance(frequency.copy(), values, self.ports, tuple(e for e in self.errors if e.source in _OF_SPACE))
+        if solved and self.poles:
+            values = self.poles.compliance(frequency)
+        else:
+            values = (self._certified(scenario) if solved else drawn).response(frequency)
+        found = Compliance(frequency.copy(), masked(values, self.ports), self.ports)
+        space = [e for e in self.errors if e.source in _OF_SPACE]
         if len(beyond):
-            return replace(found, errors=(ErrorEstimate("reduction", np.nan, _BEYOND_BAND),))
-        if self.solved is None:
-            return found
-        some, narrow = self._compared(found)
-        error = space_error(some.frequency, *(c.block("point", "contact") for c in (some, narrow)))
-        solves = (e for e in found.errors if e.source != "reduction")
-        return replace(found, errors=(*solves, replace(error, per_pair=None)))
+            space = [ErrorEstimate("reduction", np.nan, _BEYOND_BAND)]
+        elif not solved:
+            some, narrow = self._compared(found, scenario)
+            error = space_error(some.frequency, *(c.block("point", "contact") for c in (some, narrow)))
+            space = [*(e for e in space if e.source != "reduction"), replace(error, per_pair=None)]
+        size = np.linalg.norm(found.block("point", "contact"), axis=(1, 2))
+        mesh = (replace(e, per_pair=None, together=None) for e in self._of_mesh(scenario, frequency, size))
+        return replace(found, errors=(*space, *mesh))
 
-    @property
-    def _certified(self) -> ReducedModel:
+    def _of_mesh(self, scenario: Scenario, frequency: FloatArray, size: FloatArray) -> list[ErrorEstimate]:
+        """Errors of G by mesh and ends: for other tissues those where waves were as long (:func:`.carried`).
+
+        ``size`` (n,) is that of the values at ``frequency``.
+        """
+        mesh = [e for e in self.errors if e.source not in _OF_SPACE]
+        if scenario.tissues == self.scenario.tissues:
+            return mesh
+        most, least = shortening(resolve_tissues(self.scenario), resolve_tissues(scenario), frequency)
+        return [carried(e, frequency, least if e.source == "truncation" else most, size) for e in mesh]
+
+    def _certified(self, scenario: Scenario) -> AffineReduced:
         """The model on the directions that were certified for what was solved."""
-        own, k = self.reduced, self.core or self.reduced.size
-        return replace(own, matrices=own.matrices[:, :k, :k], functionals=own.functionals[:k])
+        return self.reduced.part(slice(self.core or None)).at(scenario)
 
-    def _compared(self, found: Compliance) -> tuple[Compliance, Compliance]:
+    def _compared(self, found: Compliance, scenario: Scenario) -> tuple[Compliance, Compliance]:
         """Some rows of ``found``, and the same by the certified directions alone."""
         rows = probes(len(found.frequency))
         some = replace(found, frequency=found.frequency[rows], values=found.values[rows], errors=())
-        return some, replace(some, values=masked(self._certified.compliance(some.frequency), self.ports))
+        narrow = self._certified(scenario).compliance(some.frequency)
+        return some, replace(some, values=masked(narrow, self.ports))
 
-    def transfer(self, frequency: FloatArray) -> TransferMatrix:
-        """G of the scenario's device at ``frequency`` (n,) [Hz], increasing; otherwise as :meth:`compliance`.
+    def transfer(self, frequency: FloatArray, scenario: Scenario | None = None) -> TransferMatrix:
+        """G at ``frequency`` (n,) [Hz], increasing, of the scenario solved or another; otherwise as :meth:`compliance`.
 
-        For other tissues errors by mesh and ends are taken where waves were as long (:func:`.carried`).
+        Its errors are estimated of G itself.
         """
-        found = self.compliance(frequency)
-        g, mesh = close_loop(found, self.scenario.device), [e for e in self.errors if e.source not in _OF_SPACE]
-        if self.solved is None or any(not e.known for e in g.errors):
-            return replace(g, errors=(*mesh, *g.errors))
-        some, narrow = (close_loop(c, self.scenario.device) for c in self._compared(found))
-        space = space_error(some.frequency, some.values, narrow.values)
-        most, least = shortening(resolve_tissues(self.solved), resolve_tissues(self.scenario), frequency)
-        size = np.linalg.norm(g.values, axis=(1, 2))
-        mesh = [carried(e, frequency, least if e.source == "truncation" else most, size) for e in mesh]
-        return replace(g, errors=(*mesh, *(e for e in g.errors if e.source != "reduction"), space))
-
-    def changed(self, overrides: Sequence[str]) -> SkinModel:
-        """The model for ``key.path=value`` overrides of tissues (not their bulk moduli) and device (not its places).
-
-        Raises ScenarioError for a key that the reduced model cannot follow, and where it holds nothing to tell the
-        error of other tissues by.
-        """
-        before = self.scenario.model_dump(mode="json")
-        after = parse_scenario(before, changes=read_overrides(overrides))
-        check_followable(self.scenario, after, self.reduced.names)
-        old = self.solved or self.scenario
-        if old.tissues == after.tissues:
-            poles = self.poles if before == after.model_dump(mode="json") else None
-            return replace(self, scenario=after, reduced=with_scenario(self.reduced, after), poles=poles, solved=None)
-        if not self.core:
-            raise ScenarioError(
-                "tissues: this reduced model tells no error for other tissues; solve the scenario anew, which is then "
-                "kept with what other tissues ask for"
-            )
-        return replace(self, scenario=after, reduced=with_scenario(self.reduced, after), poles=None, solved=old)
-
-
-def with_scenario(reduced: ReducedModel, scenario: Scenario, limb: Limb | None = None) -> ReducedModel:
-    """The reduced matrices with the coefficients that ``scenario`` gives their terms (:func:`coefficients_of`)."""
-    return replace(reduced, coefficients=coefficients_of(reduced.names, scenario, limb))
-
-
-def coefficients_of(names: Sequence[str], scenario: Scenario, limb: Limb | None = None) -> tuple[Coefficient, ...]:
-    """Coefficients of the terms ``names`` in ``scenario``, whose layers may be of other thicknesses than the ``limb``
-    that the terms are of."""
-    tissues, sheets = resolve_tissues(scenario), scenario.tissues
-    found = (stretches(limb, scenario.limb) if limb is not None else None) or {}
-    return tuple(term_coefficient(n, tissues, scenario.supports, sheets.membrane, sheets.patch, found) for n in names)
-
-
-@dataclass(frozen=True, eq=False)
-class ReducedFile:
-    """``reduced.nc``: the reduced model, a few megabytes that give the compliance at any frequency, for any moduli.
-
-    ``matrices`` (n_term, r, r) of terms ``names``, real and symmetric, ``functionals`` (r, n_port) and ``shares``
-    (n_port,) as in :class:`forearm_fem.fem.reduction.reduced_model.ReducedModel`, and the poles and residues of
-    :class:`forearm_fem.fem.reduction.poles.PoleResidue` where there are any. The scenario multiplies the terms.
-    ``core`` and ``errors`` are as in :class:`SkinModel`.
-    """
-
-    kind: ClassVar[str] = "reduced model"
-    version: ClassVar[int] = 2
-
-    names: tuple[str, ...] = field(metadata=dims("term", name="term"))
-    matrices: FloatArray = field(metadata=dims("term entry", name="upper", upper=True))
-    functionals: FloatArray = field(metadata=dims("row port", name="functional"))
-    shares: FloatArray = field(metadata=dims("port", name="share"))
-    ports: tuple[Port, ...] = field(metadata=dims("port"))
-    scenario: dict[str, Any]
-    poles: ComplexArray | None = field(default=None, metadata=dims("mode"))
-    left: ComplexArray | None = field(default=None, metadata=dims("port mode"))
-    right: ComplexArray | None = field(default=None, metadata=dims("mode port"))
-    core: int = 0
-    errors: tuple[ErrorEstimate, ...] = ()
-
-    @classmethod
-    def of(cls, model: SkinModel) -> ReducedFile:
-        """The file of a model."""
-        r, seen = model.reduced, model.poles
-        poles = {} if seen is None else {name: getattr(seen, name) for name in ("poles", "left", "right")}
-        scenario = model.scenario.model_dump(mode="json")
-        kept = (r.names, r.matrices, r.functionals, r.shares, model.ports, scenario)
-        return cls(*kept, **poles, core=model.core, errors=model.errors)
-
-    def model(self, origin: str | Path) -> SkinModel:
-        """The model of a file; ScenarioError for a scenario that is not known, which ``origin`` holds."""
-        scenario = parse_scenario(self.scenario, origin=str(origin))
-        low = np.zeros((len(self.functionals), 0))
-        bare = ReducedModel(self.names, (), self.matrices, self.functionals, self.shares, Basis(), low)
-        poles = None
-        if self.poles is not None and self.left is not None and self.right is not None:
-            poles = PoleResidue(self.poles, self.left, self.right, shares=self.shares)
-        return SkinModel(scenario, self.ports, with_scenario(bare, scenario), poles, self.core, self.errors)
-
-
-def save_skin_model(path: Path, model: SkinModel) -> None:
-    """Write ``reduced.nc``, whole or not at all."""
-    save(path, ReducedFile.of(model))
+        scenario = scenario or self.scenario
+        found = self.compliance(scenario, frequency)
+        g = close_loop(found, scenario.device)
+        space = [e for e in g.errors if e.source in _OF_SPACE]
+        if scenario.tissues != self.scenario.tissues and all(e.known for e in space):
+            some, narrow = (close_loop(c, scenario.device) for c in self._compared(found, scenario))
+            error = space_error(some.frequency, some.values, narrow.values)
+            space = [*(e for e in space if e.source != "reduction"), error]
+        mesh = self._of_mesh(scenario, frequency, np.linalg.norm(g.values, axis=(1, 2)))
+        return replace(g, errors=(*mesh, *space))
 
 
 def load_skin_model(path: str | Path) -> SkinModel:
     """Read ``reduced.nc``; DataError for a missing or damaged file."""
-    return load(path, ReducedFile).model(path)
-
-
-def check_followable(before: Scenario, after: Scenario, terms: Sequence[str], *, unread: Collection[str] = ()) -> None:
-    """Raise ScenarioError with the sentence of :func:`unfollowed`."""
-    if reason := unfollowed(before, after, terms, unread=unread):
-        raise ScenarioError(reason)
+    return load(path, SkinModel)
 
 
 def unfollowed(before: Scenario, after: Scenario, terms: Sequence[str], *, unread: Collection[str] = ()) -> str:
     """Reason that a reduced model of ``terms``, made for one scenario, cannot answer for the other; empty where it
-    can.
-
-    Keys that are ``unread`` by the caller may differ, too.
+    can. Keys that are ``unread`` by the caller may differ, too.
     """
     for key in type(before).model_fields:
         if key not in _MAY_CHANGE and key not in unread and getattr(before, key) != getattr(after, key):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar
@@ -16,7 +14,6 @@ from .. import __version__
 from ..errors import ForearmError
 from ..fem.assembly.boundary import edge_middles
 from ..fem.kernels.compiled import freed_memory_kept
-from ..fem.reduction.basis import Basis
 from ..fem.reduction.compile_ahead import start_compiling
 from ..geometry.cache import cached_mesh
 from ..geometry.device.place import place_ports
@@ -36,7 +33,7 @@ from ..user_cache import default_cache_dir
 from .fem import FemSolution, freed_ends, other_ends, reduction_tolerance, second_compliance, solve_fem
 from .forecast import forecast, refuse_if_too_large
 from .second_mesh import second_mesh
-from .skin_model import ReducedFile, SkinModel
+from .skin_model import SkinModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +48,14 @@ class Solved:
     ``resolution`` how finely it carries the shortest waves, and ``notes`` are sentences about that.
     """
 
+    kind: ClassVar[str] = "solution"
+    version: ClassVar[int] = 2
+
     compliance: Compliance
     coarse: Compliance | None
     freed: Compliance | None
-    modes: FloatArray
-    states: ComplexArray
+    modes: FloatArray = field(metadata=dims("point xyz mode", single=True))
+    states: ComplexArray = field(metadata=dims("frequency mode contact", single=True))
     facts: SolutionRecord
     unknown: tuple[ErrorEstimate, ...] = ()
     skin: SkinModel | None = None
@@ -100,14 +100,16 @@ def solve(
     scenario: Scenario, mesh: TissueMesh, frequency: FloatArray, *, base: Path, progress: Progress | None = None
 ) -> Solved:
     """Solve what is not in the cache yet; each finished part is stored at once."""
-    store = _Store(solve_key(scenario, mesh, frequency))
-    if (main := store.main()) is None:
+    home, key = default_cache_dir() / "solves", solve_key(scenario, mesh, frequency)
+    shelf, parts = Shelf(home / f"{key}.sqlite"), Shelf(home / f"{key}-parts.sqlite", "an expansion")
+    if (main := shelf.record("main", Solved)) is None:
         tolerance = reduction_tolerance(scenario)
         solution = solve_fem(
-            scenario, mesh, frequency, progress=progress, kept=store.parts, tolerance=tolerance, widen=True
+            scenario, mesh, frequency, progress=progress, kept=parts, tolerance=tolerance, widen=True
         )
         main = _packed(scenario, solution, frequency)
-        store.keep_main(main)
+        if shelf.keep("main", main):
+            parts.remove()
     # what freed ends do not show: pressure hardly feels dashpots of shear, so that a slab's ends are as good as free
     unseen = main.freed is None or isinstance(scenario.limb, SlabLimb)
     cut = unseen and len(mesh.facets.get("end", ())) > 0
@@ -115,14 +117,15 @@ def solve(
         return replace(main, unknown=_missing("solver.discretisation_estimate = false; set it to true", cut))
     try:
         second = second_mesh(scenario, mesh, base=base)
-        coarse = store.compliance(
+        coarse = shelf.once(
             f"second-{second.label}",
+            Compliance,
             lambda: second_compliance(second, frequency, progress=within(progress, "coarser mesh")),
         )
         clamped = None
         if cut:
             tell(progress, "truncation estimate", 0, 1)
-            clamped = store.compliance(f"other_ends-{second.label}", lambda: other_ends(second, frequency))
+            clamped = shelf.once(f"other_ends-{second.label}", Compliance, lambda: other_ends(second, frequency))
             tell(progress, "truncation estimate", 1, 1)
     except ForearmError as problem:
         return replace(main, unknown=_missing(problem, cut))
@@ -174,8 +177,7 @@ def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) ->
     skin = None
     if sweep.reduced is not None:
         wider, core = (sweep.wider, sweep.wider.low.shape[1]) if sweep.wider else (sweep.reduced, 0)
-        bare = replace(wider, basis=Basis(), low=np.zeros((wider.size, 0)), coupling=np.zeros((0, 0)))
-        skin = SkinModel(scenario, model.ports, bare, sweep.poles, core, solution.compliance.errors)
+        skin = SkinModel(scenario, model.ports, wider.bare(), sweep.poles, core, solution.compliance.errors)
         contacts = solution.compliance.indices("contact")
         modes = field_modes(solution)
         states = sweep.states(frequency, contacts)
@@ -195,50 +197,3 @@ def field_modes(solution: FemSolution) -> FloatArray:
     chosen = csr_array(eye_array(model.space.n_nodes, format="csr"))[vertices]
     shown = kron(vstack([chosen, places]), eye_array(3), format="csr") @ model.constraints.transform
     return reduced.basis.seen_by(csr_array(shown)).reshape(-1, 3, reduced.size)
-
-
-@dataclass(frozen=True, eq=False)
-class _Kept:
-    """The main part of a :class:`Solved`, on its shelf."""
-
-    kind: ClassVar[str] = "solution"
-    version: ClassVar[int] = 1
-
-    compliance: Compliance
-    freed: Compliance | None
-    modes: FloatArray = field(metadata=dims("point xyz mode", single=True))
-    states: ComplexArray = field(metadata=dims("frequency mode contact", single=True))
-    facts: SolutionRecord
-    skin: ReducedFile | None
-
-    @property
-    def solved(self) -> Solved:
-        """The same as a result."""
-        skin = None if self.skin is None else self.skin.model("the cache")
-        return Solved(self.compliance, None, self.freed, self.modes, self.states, self.facts, skin=skin)
-
-
-class _Store:
-    """Store of one solve's finished parts, and of the expansions of its main part on a shelf of its own."""
-
-    def __init__(self, key: str) -> None:
-        home = default_cache_dir() / "solves"
-        self._shelf, self.parts = Shelf(home / f"{key}.sqlite"), Shelf(home / f"{key}-parts.sqlite", "an expansion")
-
-    def compliance(self, name: str, make: Callable[[], Compliance]) -> Compliance:
-        """The compliance kept under a name, or a new one, kept."""
-        return self._shelf.once(name, Compliance, make)
-
-    def main(self) -> Solved | None:
-        """The main part, or None."""
-        kept = self._shelf.record("main", _Kept)
-        with suppress(ForearmError):  # a scenario of another version
-            return None if kept is None else kept.solved
-        return None
-
-    def keep_main(self, solved: Solved) -> None:
-        """Keep the main part, then drop the expansions it came from."""
-        skin = None if solved.skin is None else ReducedFile.of(solved.skin)
-        kept = _Kept(solved.compliance, solved.freed, solved.modes, solved.states, solved.facts, skin)
-        if self._shelf.keep("main", kept):
-            self.parts.remove()

@@ -18,7 +18,6 @@ from ..device.response import carries_points
 from ..engines.forecast import Ledger, refuse_if_signals_too_large
 from ..engines.notes import check_samples, scene_notes
 from ..engines.simulation import Engine, Simulation, simulate, versions
-from ..engines.skin_model import save_skin_model
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..fem.reduction.compile_ahead import start_compiling
 from ..files.mat import write_thesis_mat
@@ -248,7 +247,7 @@ def _write_solution(run: Run, simulation: Simulation) -> None:
     if simulation.solved is not None and simulation.solved.skin is not None:
         skin, of_g = simulation.solved.skin, ("discretisation", "truncation")
         errors = (*simulation.compliance.errors, *(e for e in transfer.errors if e.source in of_g))
-        save_skin_model(out / "reduced.nc", replace(skin, scenario=scenario, errors=errors))
+        save(out / "reduced.nc", replace(skin, scenario=scenario, errors=errors))
     if simulation.solved is not None:
         run.solution = simulation.solved.facts
     if (mesh := simulation.mesh) is not None:

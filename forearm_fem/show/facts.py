@@ -235,8 +235,8 @@ def strength_block(results: Results) -> Block | None:
     if not is_thesis_grid(results.transfer.outputs):
         return None
     note = (f"Here: S {window_words(data)}. Record: the same motion over the whole record of "
-            f"{results.scenario.sweep.duration:g} s, as the thesis sums it; that reading grows with the record, as the "
-            "edges of the band ring on. Thesis: one participant (P2), measured with the laser vibrometer.")  # fmt: skip
+            f"{results.scenario.sweep.duration:g} s, as the thesis may have summed it; that reading grows with the "
+            "record, as the edges of the band ring on. Thesis: one participant (P2), by laser vibrometer.")  # fmt: skip
     if data.arms is not None:
         note += f" Arms: 5-95 % of the group's mean S over {data.arms['draws']} arms, apart from the numerics."
     return Block(list(TABLE_ONE), table_one_rows(table_one(data)), note)

@@ -147,13 +147,16 @@ def amplification(moved: Motion, body: Body, look: Look) -> float:
 
 
 def colour_limit(results: Results, moved: Motion, look: Look) -> float:
-    """End of the colours [m]: as asked, or the largest motion of the grid points' nearest vertices."""
+    """End of the colours [m]: as asked, or the most that the grid points' nearest vertices show."""
     if look.limit is not None:
         return look.limit
     places = np.array([p.position for p in results.transfer.outputs])
     near = [int(np.argmin(np.linalg.norm(results.field_mesh.points - p, axis=1))) for p in places]
     modes = results.wavefield.modes[near]
-    most = max(float(np.linalg.norm(moved.displacement(modes, k), axis=1).max()) for k in range(len(moved.steps)))
+    axes, quantity = np.array([p.axis for p in results.transfer.outputs]), moved.view.quantity
+    most = max(
+        float(np.abs(shown_values(moved.displacement(modes, k), axes, quantity)).max()) for k in range(len(moved.steps))
+    )
     return most or 1e-9
 
 

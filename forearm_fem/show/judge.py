@@ -212,9 +212,11 @@ def table_one(data: Strengths) -> xr.Dataset:
                     at = table.groups.index(group), table.methods.index(method)
                     mean[g, m, k], std[g, m, k] = table.mean[at], table.std[at]
     notes = [[spreads(data, m, g) for m in ours.methods] for g in ours.groups]
+    low, high = (np.where(np.arange(3) == 0, data.table(s).mean[..., None], np.nan) for s in (data.low, data.high))
     dims = ("group", "method", "side")
     return xr.Dataset(
-        {"mean": (dims, mean), "std": (dims, std), "note": (dims[:2], np.array(notes), {"table": "no"})},
+        {"mean": (dims, mean), "std": (dims, std), "note": (dims[:2], np.array(notes), {"table": "no"}),
+         "low": (dims, low), "high": (dims, high)},
         {"group": list(ours.groups), "method": list(ours.methods), "side": list(TABLE_ONE[2:])},
         {"window": data.window},
     )
@@ -245,19 +247,30 @@ def spreads(data: Strengths, method: str, place: str) -> str:
 
 
 def _cell(mean: float, std: float) -> str:
-    return "–" if np.isnan(mean) else f"{mean:.2f}" if np.isnan(std) else f"{mean:.2f} ± {std:.2f}"
+    return "–" if np.isnan(mean) else f"{mean:.2f}" if np.isnan(std) or std < 0.005 else f"{mean:.2f} ± {std:.2f}"
+
+
+_TABLE_SAYS = (
+    "S by place: mean and standard deviation over the points of a group, which is no error.",
+    "Here: over the wavelet's window. Record: over the whole record. Thesis: participant 2 of de Vlam (2022).",
+    "Numerics: the mean interval of S here that the errors of G leave; people differ by more.",
+)
 
 
 def table_one_extra(data: xr.Dataset) -> dict[str, str]:
     """The table as Markdown and as a LaTeX ``tabular`` with the rules of ``booktabs``, beside the figure."""
-    rows, shown = table_one_rows(data), ""
-    lines = [r"\begin{tabular}{llccc}", r"\toprule", " & ".join(TABLE_ONE) + r" \\", r"\midrule"]
+    bounds = zip(data.low.values[..., 0].ravel(), data.high.values[..., 0].ravel(), strict=True)
+    numerics = [f"{a:.2f} to {b:.2f}" if np.isfinite(a) and np.isfinite(b) else "unknown" for a, b in bounds]
+    rows, shown = [[*row, n] for row, n in zip(table_one_rows(data), numerics, strict=True)], ""
+    named_columns = (*TABLE_ONE, "numerics")
+    lines = [*(f"% {line}" for line in (r"needs \usepackage{booktabs}", *_TABLE_SAYS)), r"\begin{tabular}{llcccc}",
+             r"\toprule", " & ".join(named_columns) + r" \\", r"\midrule"]  # fmt: skip
     for place, method, *numbers in rows:
         named, shown = place if place != shown else "", place
         cells = (named, method, *(n.replace("±", r"$\pm$").replace("–", "--").replace("%", r"\%") for n in numbers))
         lines.append(" & ".join(cells) + r" \\")
     latex = "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
-    return {"table.md": markdown_table(TABLE_ONE, rows), "table.tex": latex}
+    return {"table.md": markdown_table(named_columns, rows) + "\n" + " ".join(_TABLE_SAYS) + "\n", "table.tex": latex}
 
 
 @styled

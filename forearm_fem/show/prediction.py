@@ -218,7 +218,7 @@ def _groups(data: Mapping[str, Any]) -> Block:
             "it of the high ends that errors of each arm's own G leave its S, so that they widen a band and never "
             "narrow it. S > 1, in brackets: of how many arms that is sure, and of how many possible. As the rig "
             "reports: the same drives on the G that was measured, with its noise, its gains and the places that the "
-            "laser met; compare measurements with this. Over the record: as the thesis sums it.")  # fmt: skip
+            "laser met; compare measurements with this. Over the record: as the thesis may have summed.")  # fmt: skip
     return Block(header, rows, note)
 
 

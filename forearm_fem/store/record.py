@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from .. import __version__
-from ..errors import DataError
+from ..errors import DataError, first_problem
 from ..ports import Port, positions
 from .folder import write_bytes
 
@@ -30,6 +30,7 @@ TIME_CONVENTION = "e^{+i omega t}"
 FORMAT = 2  # of all files; a kind has a version of its own
 _Variable = tuple[tuple[str, ...], Any, dict[str, str]]
 _EACH = ("*",)  # dimensions of a mapping of arrays
+UNKEPT = {"unkept": True}  # metadata of a field that is not kept: it comes back as its default
 _AGAIN = "this version of forearm_fem makes and reads another; make it again"
 
 
@@ -168,7 +169,7 @@ def _collect(record: Any, prefix: str, arrays: dict[str, _Variable], plain: dict
     for field in dataclasses.fields(record):
         value, of = getattr(record, field.name), field.metadata
         name = _name(prefix, field)
-        if value is None:
+        if value is None or "unkept" in of:
             continue
         if isinstance(value, tuple) and value and isinstance(value[0], Port):
             (dim,) = of["dims"]
@@ -246,6 +247,8 @@ def _built(cls: type[R], prefix: str, arrays: Mapping[str, Any], plain: Mapping[
     hints, found = typing.get_type_hints(cls), dict[str, Any]()
     for field in dataclasses.fields(cls):  # type: ignore[arg-type]
         of, name, key = field.metadata, _name(prefix, field), f"{prefix}{field.name}"
+        if "unkept" in of:
+            continue
         inner = _record_of(hints[field.name])
         if inner is Port:
             found[field.name] = _ports_of(arrays, of["dims"][0]) if f"{of['dims'][0]}_kind" in arrays else ()
@@ -287,7 +290,10 @@ def _array(values: Any, of: Mapping[str, Any], hint: Any) -> Any:
 def _value(value: Any, hint: Any) -> Any:
     model = next((a for a in _choices(hint) if isinstance(a, type) and issubclass(a, BaseModel)), None)
     if model is not None:
-        return model.model_validate(value)
+        try:
+            return model.model_validate(value)
+        except ValidationError as problem:
+            raise DataError(f"holds a {model.__name__} that is not known: {first_problem(problem, 'it')}") from None
     return _tuples(value) if _is_row(hint) else value
 
 

@@ -4,32 +4,34 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.linalg
 
 from ...accuracy.estimates import moved_by_stretch, stated_errors
 from ...errors import GeometryError, ScenarioError
+from ...fem.reduction.affine import Modes
 from ...geometry.device.layout import layout_of
 from ...geometry.device.place import parametric_skin, ports_on
 from ...layered.discs import Disc
 from ...layered.response import LayeredResult
-from ...layered.tables import Tabulated
+from ...layered.tables import Tabulated, from_arrays
 from ...ports import Port, positions
 from ...results.run import SolutionRecord
 from ...scenario import Scenario
 from ...scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
 from ...scenario.sweep import frequencies
+from ...store.record import dims
 from ...transfer import Compliance, ErrorEstimate
 from ...typing import BoolArray, ComplexArray, FloatArray, IntArray
-from ..layered import flat_layers
+from ..layered import flat_layers, flat_surface
 from ..simulation import refuse_unheld
 from ..solved import Solved
 from .between import Bands, Lattice, Prior, Shape, shape_of
-from .limb import ModalCompliance, constrained_compliance, deviation_held, real_product
+from .limb import constrained_compliance, deviation_held, modal_compliance, real_product
 from .loads import flat_compliance
 from .skin import FlatSkin, flat_skin
 
@@ -80,28 +82,31 @@ class ArmLibrary:
     then along v, at ``sideways`` (s, 2), none but for bonded discs; ``fine`` is the limb through them, in this order,
     ``coarse`` on a second mesh whose nodes are ``ratio`` times as far apart (None where there is none), ``freed`` with
     free ends (None where none absorb). ``flat`` (n_part, n_node, 1 or 4, n_distance) are the layered model's integrals
-    between two bells at ``distances`` [m], at the nodes of :class:`Bands`; ``layered`` the layered model for discs.
+    between two bells at ``distances`` [m], at the nodes of :class:`Bands`; ``tables`` the layered model for discs.
     ``spread`` (n_part, 3, n_bin) is the standard deviation [m/N] of what is interpolated, by distance (``bins``
     (n_bin,) [m]), in units of the prior: along the normal, between it and the skin, and along the skin. ``reduction``
     (3, n) are frequencies [Hz] and the reduced model's e(f) there, against direct solves, along the normal and along
     the skin, ``missed`` (n, 3, n_bin) [m/N] what it is off there by distance.
     """
 
+    kind: ClassVar[str] = "arm's library"
+    version: ClassVar[int] = 2
+
     scenario: Scenario
-    centres: FloatArray
-    sideways: FloatArray
+    centres: FloatArray = field(metadata=dims("bell uv", units="m"))
+    sideways: FloatArray = field(metadata=dims("sideways_bell uv", units="m"))
     width: float
-    fine: ModalCompliance
-    coarse: ModalCompliance | None
-    freed: ModalCompliance | None
+    fine: Modes
+    coarse: Modes | None
+    freed: Modes | None
     ratio: float
-    distances: FloatArray
-    flat: ComplexArray
-    layered: Tabulated
-    bins: FloatArray
-    spread: FloatArray
-    reduction: FloatArray
-    missed: FloatArray
+    distances: FloatArray = field(metadata=dims("distance", units="m"))
+    flat: ComplexArray = field(metadata=dims("part node integral distance"))
+    tables: Mapping[str, Any] = field(metadata=dims("*"))
+    bins: FloatArray = field(metadata=dims("bin", units="m"))
+    spread: FloatArray = field(metadata=dims("part direction bin"))
+    reduction: FloatArray = field(metadata=dims("frequency_and_errors checked"))
+    missed: FloatArray = field(metadata=dims("checked direction bin"))
     facts: Mapping[str, Any]
 
     @property
@@ -180,12 +185,12 @@ class ArmLibrary:
             parts.append(_Part(int(b), number == b, weights, seen, variance))
         return _Asked(ports, frequency, places, owner, way, layered, tuple(parts))
 
-    def _answer(self, asked: _Asked, limb: ModalCompliance) -> tuple[Compliance, ComplexArray]:
+    def _answer(self, asked: _Asked, limb: Modes) -> tuple[Compliance, ComplexArray]:
         """C through ``limb``, and what holding the discs takes, B."""
         free, carry = asked.layered.values.copy(), self.bands.between(asked.frequency)
         point = np.array([port.kind == "point" for port in asked.ports])[asked.owner]
         for part in asked.parts:
-            apart = limb.between(asked.frequency[part.mine], part.weights, ~(point[:, None] & point))
+            apart = modal_compliance(limb, asked.frequency[part.mine], part.weights, ~(point[:, None] & point))
             free[part.mine] += apart - np.einsum("fn,nij->fij", carry[part.mine], part.flat)
         values, hold = constrained_compliance(0.5 * (free + free.swapaxes(1, 2)), len(asked.ports))
         return Compliance(asked.frequency, values, asked.ports), hold
@@ -211,6 +216,12 @@ class ArmLibrary:
         if scenario.device.cone.contact == "pressure":
             self._check_none_under(ports)
         return ports
+
+    @cached_property
+    def layered(self) -> Tabulated:
+        """The layered model for the library's discs."""
+        x, cone = self.scenario, self.scenario.device.cone
+        return from_arrays(self.tables, flat_layers(x), flat_surface(x.tissues), cone.radius, cone.contact)
 
     @cached_property
     def skin(self) -> FlatSkin:

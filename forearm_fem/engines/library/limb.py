@@ -1,14 +1,11 @@
-"""A limb's compliance by poles and residues, with ports held still."""
+"""Compliance of combinations of loads by poles and residues, with ports held still."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import cached_property
-
 import numpy as np
 
+from ...fem.reduction.affine import Modes
 from ...layered.response import chebyshev_between, chebyshev_nodes
-from ...store.record import dims
 from ...typing import BoolArray, ComplexArray, FloatArray, IntArray
 
 # Discs that are held sideways: what they take from the motion of the limb, and from its uncertainty.
@@ -43,47 +40,29 @@ _FAR = 3.5  # half axes of a pole's Bernstein ellipse from which it is far: 3.5^
 _NUMBERS = 2**18  # of the residues of some poles that are held side by side: four megabytes stay in the cache
 
 
-@dataclass(frozen=True, eq=False)
-class ModalCompliance:
-    """Compliance between bells, sum_k left_ik right_kj / (i omega - poles_k), symmetric and of a real system.
+def modal_compliance(
+    limb: Modes, frequency: FloatArray, weights: FloatArray, wanted: BoolArray | None = None
+) -> ComplexArray:
+    """Compliance (n_frequency, p, p) of p combinations ``weights`` (n, p) of the limb's bells; of those ``wanted`` (p,
+    p), or all, others are zero.
 
-    ``left`` (n, k), ``right`` (k, n), ``poles`` (k,) [1/s], with each pole its conjugate.
+    Poles far from the band asked for are summed at the nodes of a Chebyshev rule, near ones at every frequency.
     """
-
-    poles: ComplexArray = field(metadata=dims("mode", units="1/s"))
-    left: ComplexArray = field(metadata=dims("load mode"))
-    right: ComplexArray = field(metadata=dims("mode load"))
-
-    def between(self, frequency: FloatArray, weights: FloatArray, wanted: BoolArray | None = None) -> ComplexArray:
-        """Compliance (n_frequency, p, p) of p combinations ``weights`` (n, p) of bells; of those ``wanted`` (p, p), or
-        all, others are zero.
-
-        Poles far from the band asked for are summed at the nodes of a Chebyshev rule, near ones at every frequency.
-        """
-        p = weights.shape[1]
-        i, j = np.nonzero(np.triu(np.ones((p, p), dtype=bool) if wanted is None else wanted | wanted.T))
-        poles, modes = self._half
-        seen, omega, paired = real_product(weights.T, modes), 2 * np.pi * frequency, poles.imag > 0
-        near, ends = _near(poles, omega), (float(omega.min()), float(omega.max()))
-        some = len(omega) > 2 * _DEGREE
-        at = 1j * (chebyshev_nodes(*ends, _DEGREE) if some else omega)
-        own = np.where((near & some)[:, None], 0.0, 1 / (at - poles[:, None]))
-        values = _summed(seen, i, j, own, paired[:, None] / (at - poles[:, None].conj()))
-        if some:
-            values = chebyshev_between(*ends, omega, values)[0]
-            values += _summed(seen[:, near], i, j, 1 / (1j * omega - poles[near, None]))
-        whole = np.zeros((len(omega), p, p), dtype=complex)
-        whole[:, i, j] = whole[:, j, i] = values
-        return whole
-
-    @cached_property
-    def _half(self) -> tuple[ComplexArray, ComplexArray]:
-        """Poles (m,) with imaginary parts of zero and above, and what bells see of them (n, m): its square is their
-        residue, for left and right of a symmetric system are proportional."""
-        kept = self.poles.imag >= 0
-        left, right = self.left[:, kept], self.right[kept].T
-        ratio = (right * left.conj()).sum(axis=0) / np.maximum((np.abs(left) ** 2).sum(axis=0), 1e-300)
-        return self.poles[kept], np.ascontiguousarray(left * np.sqrt(ratio))
+    p = weights.shape[1]
+    i, j = np.nonzero(np.triu(np.ones((p, p), dtype=bool) if wanted is None else wanted | wanted.T))
+    poles, modes = limb.half
+    seen, omega, paired = real_product(weights.T, modes), 2 * np.pi * frequency, poles.imag > 0
+    near, ends = _near(poles, omega), (float(omega.min()), float(omega.max()))
+    some = len(omega) > 2 * _DEGREE
+    at = 1j * (chebyshev_nodes(*ends, _DEGREE) if some else omega)
+    own = np.where((near & some)[:, None], 0.0, 1 / (at - poles[:, None]))
+    values = _summed(seen, i, j, own, paired[:, None] / (at - poles[:, None].conj()))
+    if some:
+        values = chebyshev_between(*ends, omega, values)[0]
+        values += _summed(seen[:, near], i, j, 1 / (1j * omega - poles[near, None]))
+    whole = np.zeros((len(omega), p, p), dtype=complex)
+    whole[:, i, j] = whole[:, j, i] = values
+    return whole
 
 
 def _near(poles: ComplexArray, omega: FloatArray) -> BoolArray:

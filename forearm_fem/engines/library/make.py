@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from ...errors import ForearmError, ScenarioError
 from ...laws import KelvinVoigt
 from ...layered.integrals import Medium
-from ...layered.tables import from_arrays
 from ...progress import Progress, within
 from ...scenario import Scenario, parse_scenario
 from ...scenario.limb import tissue_keys
-from ...store.record import dims, load, said_content, save
+from ...store.record import load, said_content, save
 from ...tissue import resolve_tissues
 from ...typing import ComplexArray, FloatArray
 from ..layered import flat_layers, flat_surface, kept_tables, tables_reach
 from .arm import WIDTH, ArmLibrary, library_band, library_skin
 from .between import Bands, Lattice
-from .limb import ModalCompliance
+from .limb import modal_compliance
 from .loads import GaussianLoads, between_flat_bells, flat_compliance, pair_distances
 from .side import BIN, LoadedSkin, MeshPart, solved_side
 from .skin import FlatSkin
@@ -31,57 +29,19 @@ from .skin import FlatSkin
 # ``library.nc``: an arm's library as one file that can be shared.
 
 
-@dataclass(frozen=True, eq=False)
-class LibraryFile:
-    """Contents of the file; fields are those of :class:`.arm.ArmLibrary`, with the arrays of its layered model."""
-
-    kind: ClassVar[str] = "arm's library"
-    version: ClassVar[int] = 1
-
-    scenario: dict[str, Any]
-    centres: FloatArray = field(metadata=dims("bell uv", units="m"))
-    sideways: FloatArray = field(metadata=dims("sideways_bell uv", units="m"))
-    width: float
-    fine: ModalCompliance
-    coarse: ModalCompliance | None
-    freed: ModalCompliance | None
-    ratio: float
-    distances: FloatArray = field(metadata=dims("distance", units="m"))
-    flat: ComplexArray = field(metadata=dims("part node integral distance"))
-    layered: Mapping[str, Any] = field(metadata=dims("*"))
-    radius: float
-    contact: str
-    bins: FloatArray = field(metadata=dims("bin", units="m"))
-    spread: FloatArray = field(metadata=dims("part direction bin"))
-    reduction: FloatArray = field(metadata=dims("frequency_and_errors checked"))
-    missed: FloatArray = field(metadata=dims("checked direction bin"))
-    facts: Mapping[str, Any]
-
-
 def save_library(path: str | Path, library: ArmLibrary) -> None:
     """Write the ``library``; DataError where that cannot be done."""
-    x, layered = library, library.layered
-    save(path, LibraryFile(
-        x.scenario.model_dump(mode="json"), x.centres, x.sideways, x.width, x.fine, x.coarse, x.freed, x.ratio,
-        x.distances, x.flat, layered.arrays(), layered.radius, layered.contact, x.bins, x.spread, x.reduction,
-        x.missed, x.facts,
-    ))  # fmt: skip
+    save(path, library)
 
 
 def is_library(path: str | Path) -> bool:
     """True if the file says of itself that it holds an arm's library; of this version or not, whole or not."""
-    return said_content(path) == LibraryFile.kind
+    return said_content(path) == ArmLibrary.kind
 
 
 def load_library(path: str | Path) -> ArmLibrary:
     """Read what :func:`save_library` wrote; DataError for a missing, damaged or outdated file."""
-    x = load(path, LibraryFile)
-    scenario = parse_scenario(x.scenario, origin=str(path))
-    layered = from_arrays(x.layered, flat_layers(scenario), flat_surface(scenario.tissues), x.radius, x.contact)
-    return ArmLibrary(
-        scenario, x.centres, x.sideways, x.width, x.fine, x.coarse, x.freed, x.ratio, x.distances, x.flat, layered,
-        x.bins, x.spread, x.reduction, x.missed, x.facts,
-    )  # fmt: skip
+    return load(path, ArmLibrary)
 
 
 # One long run per arm: mesh, one factorisation, a space for all loads on the patch, and the layered model's tables.
@@ -117,10 +77,10 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
     distances, bands = pair_distances(centres), Bands.of(*library_band(scenario))
     medium = Medium(tuple(flat_layers(scenario)), "halfspace", flat_surface(scenario.tissues))
     flat = between_flat_bells(medium, bands.nodes.ravel(), width, distances, sideways=len(sideways) > 0)
-    layered = kept_tables(scenario, tables_reach(float(distances[-1])), progress=progress)
+    tables = kept_tables(scenario, tables_reach(float(distances[-1])), progress=progress)
     library = ArmLibrary(
         scenario, centres, sideways, width, fine.limb, coarse.limb if coarse else None, fine.freed, COARSER,
-        distances, flat.reshape(*bands.nodes.shape, *flat.shape[1:]), layered, loaded.bins, np.zeros((0, 3, 0)),
+        distances, flat.reshape(*bands.nodes.shape, *flat.shape[1:]), tables.arrays(), loaded.bins, np.zeros((0, 3, 0)),
         fine.reduction, fine.missed, {**fine.facts, "seconds": time.monotonic() - began},
     )  # fmt: skip
     return _judged(library)
@@ -209,7 +169,7 @@ def _judged(library: ArmLibrary) -> ArmLibrary:
     n, node = len(library.centres), library.bands.nodes.shape[1] // 2
     at, loads = library.bands.nodes[:, node], n + 2 * len(library.sideways)
     flat = flat_compliance(library.flat[:, node], library.distances, library.centres, library.sideways)
-    every = library.fine.between(at, np.eye(loads)) - flat
+    every = modal_compliance(library.fine, at, np.eye(loads)) - flat
     bins = library.bins
     spread = np.zeros((len(at), 3, len(bins)))
     for k, of in enumerate(every):

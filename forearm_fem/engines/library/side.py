@@ -16,11 +16,9 @@ from ...fem.assembly.coefficients import Polynomial, is_polynomial
 from ...fem.assembly.model import ForearmModel
 from ...fem.kernels.compiled import freed_memory_kept
 from ...fem.linear.direct import make_solver
-from ...fem.reduction.basis import Basis
+from ...fem.reduction.affine import AffineReduced, Modes, with_columns
 from ...fem.reduction.expansion import expansion_rate
-from ...fem.reduction.poles import pole_residue
 from ...fem.reduction.rate_space import LoadSpace
-from ...fem.reduction.reduced_model import ReducedModel, empty_model, with_columns
 from ...geometry.cache import cached_mesh
 from ...progress import Progress, tell, within
 from ...scenario import Scenario
@@ -31,7 +29,7 @@ from ...store.text import digest_of
 from ...typing import FloatArray, IntArray
 from ...user_cache import default_cache_dir
 from ..fem import fem_model
-from .limb import ModalCompliance
+from .limb import modal_compliance
 from .loads import GaussianLoads, bell_functionals
 from .skin import FlatSkin
 
@@ -80,56 +78,13 @@ class MeshPart:
     [m/N], what they are by distance, and facts."""
 
     kind: ClassVar[str] = "part of a library"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
-    limb: ModalCompliance
-    freed: ModalCompliance | None
+    limb: Modes
+    freed: Modes | None
     reduction: FloatArray = field(metadata=dims("frequency_and_errors checked"))
     missed: FloatArray = field(metadata=dims("checked direction bin"))
     facts: Mapping[str, Any]
-
-
-@dataclass(frozen=True, eq=False)
-class SpaceState:
-    """The space of the first ``done`` loads: ``reduced`` with its ``functionals`` (r, n_bell), made by ``solves``."""
-
-    reduced: ReducedModel
-    functionals: FloatArray
-    done: int
-    solves: int
-    seconds: float
-
-
-class _Space:
-    """The space of the loads that were solved, on a shelf: its blocks of columns, and what they span."""
-
-    def __init__(self, file: Path) -> None:
-        self._shelf = Shelf(file, "what was solved for the library")
-        self.remove = self._shelf.remove
-
-    def progressed(self, start: SpaceState) -> SpaceState:
-        """Last state kept; ``start``, the empty space, where nothing was kept."""
-        if (data := self._shelf.get("space")) is None:
-            return start
-        kept = [self._shelf.get(f"columns-{k}") for k in range(data["blocks"])]
-        blocks = tuple(part["columns"] for part in kept if part is not None)
-        size = len(data["functionals"])
-        if sum(block.shape[1] for block in blocks) != size:
-            return start
-        reduced = replace(
-            start.reduced, matrices=data["matrices"], functionals=np.zeros((size, 0)), basis=Basis(blocks),
-            low=np.zeros((size, 0)), coupling=data["coupling"],
-        )  # fmt: skip
-        return SpaceState(reduced, data["functionals"], data["done"], data["solves"], data["seconds"])
-
-    def keep(self, state: SpaceState) -> None:
-        """Keep how far it got; the space's last block is new."""
-        blocks, reduced = state.reduced.basis.blocks, state.reduced
-        if self._shelf.put(f"columns-{len(blocks) - 1}", {"columns": blocks[-1]}):
-            self._shelf.put("space", {
-                "matrices": reduced.matrices, "coupling": reduced.coupling, "functionals": state.functionals,
-                "blocks": len(blocks), "done": state.done, "solves": state.solves, "seconds": state.seconds,
-            })  # fmt: skip
 
 
 def solved_side(
@@ -143,7 +98,8 @@ def solved_side(
     mesh = cached_mesh(meshed, base=base, scale=scale, progress=within(progress, "mesh"))
     frequency = frequencies(meshed.sweep)
     home, key = default_cache_dir() / "library-parts", _key(meshed, mesh.digest, loaded, scale)
-    shelf, kept = Shelf(home / f"{key}.sqlite", "a part of the library"), _Space(home / f"{key}-space.sqlite")
+    shelf = Shelf(home / f"{key}.sqlite", "a part of the library")
+    kept = Shelf(home / f"{key}-space.sqlite", "what was solved for the library")
     if (found := shelf.record("side", MeshPart)) is not None:
         return found
     tell(progress, "assembly", 0, 1)
@@ -152,9 +108,9 @@ def solved_side(
     tell(progress, "assembly", 1, 1)
     seconds = time.monotonic() - began
     with freed_memory_kept():  # as long as the columns live: poles and direct solves come to gigabytes of their own
-        state = _spanned(meshed, model, seen, loaded, frequency, kept, progress)
-    side = _finished(meshed, model, seen, state, loaded, frequency, whole=scale == 1.0, progress=progress)
-    side = replace(side, facts={**side.facts, "seconds_model": seconds})
+        reduced, facts = _spanned(meshed, model, seen, loaded, frequency, kept, progress)
+    side = _finished(meshed, model, seen, reduced, loaded, frequency, whole=scale == 1.0, progress=progress)
+    side = replace(side, facts={**facts, **side.facts, "seconds_model": seconds})
     if shelf.keep("side", side):
         kept.remove()
     return side
@@ -174,50 +130,45 @@ def _spanned(
     seen: csr_array,
     loaded: LoadedSkin,
     frequency: FloatArray,
-    kept: _Space,
+    kept: Shelf,
     progress: Progress | None,
-) -> SpaceState:
-    """The limb in the space of all loads, each an output, too; batch by batch, from where it was left."""
+) -> tuple[AffineReduced, dict[str, Any]]:
+    """The limb in the space of all loads, each an output, too; batch by batch, from where it was left. And facts.
+
+    Without its columns: they are gigabytes, and direct solves come next.
+    """
     assert all(is_polynomial(t.coefficient) for t in model.operator.terms)
     bare = replace(model, ports=(), functionals=np.zeros((model.operator.n, 0)), shares=np.zeros(0))
     total = seen.shape[1]
-    state = kept.progressed(SpaceState(empty_model(bare), np.zeros((0, total)), 0, 0, 0.0))
-    tell(progress, "loads on the patch", state.done, total)
-    if state.done == total:
-        return _without_columns(state)
-    began = time.monotonic() - state.seconds
-    solver = make_solver(bare, meshed.solver, float(frequency[-1]))
-    rate = _FASTER * expansion_rate(frequency)
-    space = LoadSpace(solver, rate, derivatives=_ORDERS, basis=state.reduced.basis)
-    done = 0
-    for chosen, drop in loaded.batches:
-        done += len(chosen)
-        if done <= state.done:
-            continue
-        before = space.solves
-        block = space.add(seen[:, chosen].toarray(), drop)
-        reduced, functionals = state.reduced, state.functionals
-        if block.shape[1]:
-            reduced = with_columns(reduced, bare, block, np.zeros((reduced.size + block.shape[1], 0)))
-            functionals = np.vstack([functionals, np.asarray(seen.T @ block).T.astype(float)])
-        solves = state.solves + space.solves - before
-        state = SpaceState(reduced, functionals, done, solves, time.monotonic() - began)
-        kept.keep(state)
-        tell(progress, "loads on the patch", state.done, total)
-    solver.factor.release()
-    return _without_columns(state)
-
-
-def _without_columns(state: SpaceState) -> SpaceState:
-    """State that poles follow from, without its columns: they are gigabytes, and direct solves come next."""
-    return replace(state, reduced=replace(state.reduced, basis=Basis()))
+    empty = replace(AffineReduced.of(bare), functionals=np.zeros((0, total)), shares=np.ones(total))
+    reduced, kept_facts = empty.restored(kept) or (empty, {})
+    facts = {name: kept_facts.get(name, 0) for name in ("done", "solves", "seconds_loads")}
+    tell(progress, "loads on the patch", facts["done"], total)
+    if facts["done"] < total:
+        began = time.monotonic() - facts["seconds_loads"]
+        solver = make_solver(bare, meshed.solver, float(frequency[-1]))
+        rate = _FASTER * expansion_rate(frequency)
+        space = LoadSpace(solver, rate, derivatives=_ORDERS, basis=reduced.basis)
+        done, solves = 0, facts["solves"]
+        for chosen, drop in loaded.batches:
+            done += len(chosen)
+            if done <= facts["done"]:
+                continue
+            block = space.add(seen[:, chosen].toarray(), drop)
+            if block.shape[1]:
+                reduced = with_columns(reduced, bare, block, np.zeros((reduced.size + block.shape[1], 0)), seen)
+            facts = {"done": done, "solves": solves + space.solves, "seconds_loads": time.monotonic() - began}
+            reduced.keep(kept, **facts)
+            tell(progress, "loads on the patch", done, total)
+        solver.factor.release()
+    return reduced.bare(), {name: facts[name] for name in ("solves", "seconds_loads")}
 
 
 def _finished(
     meshed: Scenario,
     model: ForearmModel,
     seen: csr_array,
-    state: SpaceState,
+    reduced: AffineReduced,
     loaded: LoadedSkin,
     frequency: FloatArray,
     *,
@@ -225,7 +176,6 @@ def _finished(
     progress: Progress | None,
 ) -> MeshPart:
     """Poles and residues, those with free ends, and the error against direct solves."""
-    reduced = replace(state.reduced, functionals=state.functionals, shares=np.ones(seen.shape[1]))
     names = [n for n in reduced.names if n.startswith("dashpots")] if whole else []
     steps, began = 1 + bool(names) + whole, time.monotonic()
     tell(progress, "poles", 0, steps)
@@ -241,19 +191,19 @@ def _finished(
         off, missed = _reduction_error(meshed, model, seen, limb, loaded, frequency)
     tell(progress, "poles", steps, steps)
     facts: dict[str, Any] = {
-        "loads": seen.shape[1], "size": reduced.size, "solves": state.solves, "unknowns": model.operator.n,
-        "seconds_loads": state.seconds, "seconds_poles": poles, "seconds_check": time.monotonic() - began - poles,
+        "loads": seen.shape[1], "size": reduced.size, "unknowns": model.operator.n,
+        "seconds_poles": poles, "seconds_check": time.monotonic() - began - poles,
     }  # fmt: skip
     return MeshPart(limb, freed, np.stack([checked, *off]), missed, facts)
 
 
-def _poles(reduced: ReducedModel, frequency: FloatArray) -> ModalCompliance:
-    found = pole_residue(reduced, frequency)
+def _poles(reduced: AffineReduced, frequency: FloatArray) -> Modes:
+    found = reduced.modes(frequency)
     if found is None:
         raise SolverError(
             "the poles of the library's reduced model are inaccurate; choose a larger library.step, or another band"
         )
-    return ModalCompliance(found.poles, found.left, found.right)
+    return replace(found, shapes=None)
 
 
 def _checked(frequency: FloatArray) -> FloatArray:
@@ -265,7 +215,7 @@ def _reduction_error(
     meshed: Scenario,
     model: ForearmModel,
     seen: csr_array,
-    limb: ModalCompliance,
+    limb: Modes,
     loaded: LoadedSkin,
     frequency: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
@@ -288,7 +238,7 @@ def _reduction_error(
     solver = make_solver(model, meshed.solver, float(frequency[-1]))
     for k, at in enumerate(checked):
         truth = chosen.T @ replace(solver, model=witness).at(float(at)).values
-        apart = np.abs(limb.between(np.array([at]), np.eye(len(bells.centres))[:, some])[0] - truth)
+        apart = np.abs(modal_compliance(limb, np.array([at]), np.eye(len(bells.centres))[:, some])[0] - truth)
         for group, one in enumerate((0, 2)[: len(spread)]):
             mine = far & (kind == one)
             off[group, k] = apart[mine].max() / np.abs(truth)[mine].max()

@@ -166,8 +166,8 @@ def term_coefficient(
 ) -> Coefficient:
     """theta(omega) of a term: "shear fat", "mass fat", "dashpots fat", "foam", "skin tension" and the like.
 
-    Those of other thicknesses (:mod:`.thickness`) take the ``stretches`` of tissues, by default none. Raises KeyError
-    for a name that no term has.
+    Those of other thicknesses (:mod:`forearm_fem.fem.assembly.thickness`) take the ``stretches`` of tissues, by
+    default none. Raises KeyError for a name that no term has.
     """
     name, powers = unmarked(name)
     if powers is not None:

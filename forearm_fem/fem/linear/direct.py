@@ -53,7 +53,7 @@ class DirectSolver:
         """Taylor coefficients in omega of the solutions about ``frequency``; column i to order ``orders[i]``.
 
         Coefficient k has the columns with order k or more (:class:`TaylorRecursion`). Refined once: what is left enters
-        the reduced model squared (see ``reduced_model``), but unrefined single precision gave it unstable poles. The
+        the reduced model squared (see ``reduction.affine``), but unrefined single precision gave it unstable poles. The
         refinement of one coefficient is solved together with the next one, because reading the factors is what a
         solve costs; the next one lacks what this changes, which is left to its own refinement.
         """

@@ -15,8 +15,7 @@ from ..assembly.coefficients import Coefficient, polynomial_of
 from ..assembly.model import ForearmModel
 from ..assembly.operator import WeightedSum
 from ..linear.direct import DirectSolver, watched
-from .poles import Modes
-from .reduced_model import ReducedModel
+from .affine import AffineReduced, Modes
 
 # A bound of the reduced model's error at every bin, from residuals: no sharp resonance hides between what is compared.
 # With r_j = f_j - A V q_j the error is C_ij - f_i . V q_j = r_i . A^-1 r_j, as A is symmetric and V . r_j = 0. Let P be
@@ -42,7 +41,7 @@ class ResidualBound:
     solver: DirectSolver
     rate: float
 
-    def errors(self, reduced: ReducedModel, frequency: FloatArray, poles: Modes | None) -> FloatArray:
+    def errors(self, reduced: AffineReduced, frequency: FloatArray, poles: Modes | None) -> FloatArray:
         """Bounds (n_frequency,) of max |dC| / max |C| over the watched entries; states from ``poles`` where given."""
         model, rows, columns = self.solver.model, *watched(self.solver.model)
         self.solver.factor.factorise(model.operator.combine(self._weights(reduced).tolist()))
@@ -56,7 +55,7 @@ class ResidualBound:
             bounds[i] = eta[rows].max() * np.nanmax((eta * reduced.shares)[columns]) / (stable * largest)
         return bounds
 
-    def stability(self, reduced: ReducedModel, frequency: FloatArray) -> FloatArray:
+    def stability(self, reduced: AffineReduced, frequency: FloatArray) -> FloatArray:
         """alpha (n_frequency,) from the undamped modes of the reduced model."""
         modes = undamped_modes(reduced, frequency)
         scale = self._weights(reduced) @ modes.energy
@@ -65,11 +64,11 @@ class ResidualBound:
         least = np.where(near, lost, np.abs(kept - moved + 1j * lost)).min(axis=1)
         return np.asarray(_LESS_LOSS * np.maximum(least, 0.0))
 
-    def _weights(self, reduced: ReducedModel) -> FloatArray:
+    def _weights(self, reduced: AffineReduced) -> FloatArray:
         """Weights (n_term,) of P."""
         return np.array([_at_rate(c, self.rate) for c in reduced.coefficients])
 
-    def _residuals(self, reduced: ReducedModel, frequency: float, states: ComplexArray) -> FloatArray:
+    def _residuals(self, reduced: AffineReduced, frequency: float, states: ComplexArray) -> FloatArray:
         """eta (n_port,) of the reduced ``states`` (r, n_port) for unit forces."""
         operator, basis = self.solver.model.operator, reduced.basis
         known = np.hstack([states.real, states.imag])
@@ -103,19 +102,19 @@ class UndampedModes:
     moved: FloatArray
 
 
-def undamped_modes(reduced: ReducedModel, frequency: FloatArray) -> UndampedModes:
+def undamped_modes(reduced: AffineReduced, frequency: FloatArray) -> UndampedModes:
     """Modes of the reduced model with the moduli that it keeps in the middle of the band."""
     omega = 2 * np.pi * frequency
     theta = np.array([np.broadcast_to(c.at(omega), omega.shape) for c in reduced.coefficients])
     inertia = np.array([(polynomial_of(c) or (0.0, 0.0, 0.0))[2] for c in reduced.coefficients])
     held = theta.real + np.outer(inertia, omega**2)
-    stiffness, mass = (np.tensordot(w, reduced.matrices, 1) for w in (held[:, len(omega) // 2], inertia))
+    stiffness, mass = (reduced.combined(w) for w in (held[:, len(omega) // 2], inertia))
     _, shapes = scipy.linalg.eigh(stiffness, mass)
     energy = np.array([np.einsum("rn,rn->n", shapes, m @ shapes) for m in reduced.matrices])
     return UndampedModes(energy, held.T @ energy, theta.imag.T @ energy, np.outer(omega**2, inertia @ energy))
 
 
-def sharp_modes(reduced: ReducedModel, frequency: FloatArray, loss: float) -> int:
+def sharp_modes(reduced: AffineReduced, frequency: FloatArray, loss: float) -> int:
     """Number of modes of the reduced model that resonate in the band with a loss factor below ``loss``.
 
     That is a Rayleigh quotient: right long before the mode is.
@@ -154,7 +153,7 @@ class DualEstimate:
 
 
 def dual_estimate(
-    bound: ResidualBound, reduced: ReducedModel, frequency: float, solve: Callable[[FloatArray], FloatArray]
+    bound: ResidualBound, reduced: AffineReduced, frequency: float, solve: Callable[[FloatArray], FloatArray]
 ) -> DualEstimate:
     """Error of the ``reduced`` model at ``frequency`` [Hz]; ``solve`` gives P^-1 b for real b (n, k), with P at the
     rate of the ``bound``.
@@ -178,7 +177,7 @@ def dual_estimate(
 
 
 def _rest(
-    model: ForearmModel, reduced: ReducedModel, stiffness: WeightedSum, states: ComplexArray
+    model: ForearmModel, reduced: AffineReduced, stiffness: WeightedSum, states: ComplexArray
 ) -> tuple[FloatArray, ComplexArray]:
     """Residuals r (n, 2 n_port), real parts, then imaginary ones, and x_i . r_j (n_port, n_port)."""
     solutions = _complex(reduced.basis.combination(_real(states)))
@@ -187,7 +186,7 @@ def _rest(
 
 
 def _found_in(
-    reduced: ReducedModel, frequency: float, stiffness: WeightedSum, rest: FloatArray, directions: FloatArray
+    reduced: AffineReduced, frequency: float, stiffness: WeightedSum, rest: FloatArray, directions: FloatArray
 ) -> ComplexArray:
     """r_i . z_j (n_port, n_port); z_j solves for r_j, the ``rest``, in the space and the ``directions`` (n, k)."""
     basis, lengths = reduced.basis, np.linalg.norm(directions, axis=0)
@@ -196,11 +195,10 @@ def _found_in(
     for part, turn in zip(weights, (1, 1j), strict=True):  # complex columns would take more room
         moved = stiffness.matrices.real_sum(part[None], (directions,))
         coupled, own = coupled + turn * basis.inner(moved), own + turn * (directions.T @ moved)
-    theta = np.array([complex(c.at(np.array(2 * np.pi * frequency))) for c in reduced.coefficients])
     right = np.vstack([_complex(basis.inner(rest)), _complex(directions.T @ rest)])
     kept = np.concatenate([np.ones(reduced.size, bool), lengths > 0])
     unit = np.concatenate([np.ones(reduced.size), lengths])[kept]
-    matrix = np.block([[np.tensordot(theta, reduced.matrices, 1), coupled], [coupled.T, own]])[np.ix_(kept, kept)]
+    matrix = np.block([[reduced.combined(reduced.theta(frequency)), coupled], [coupled.T, own]])[np.ix_(kept, kept)]
     matrix, right = matrix / np.outer(unit, unit), right[kept] / unit[:, None]
     return np.asarray(right.T @ np.linalg.solve(matrix, right))
 
@@ -269,7 +267,7 @@ class Doubt:
 
 
 def doubt(
-    model: ForearmModel, reduced: ReducedModel, frequency: FloatArray, known: Sequence[float], *, wary: bool = False
+    model: ForearmModel, reduced: AffineReduced, frequency: FloatArray, known: Sequence[float], *, wary: bool = False
 ) -> Doubt | None:
     """The most doubtful of the probed frequencies that are not ``known``; None if none is left.
 
@@ -297,13 +295,13 @@ def most_doubtful_bin(bounds: FloatArray, frequency: FloatArray, known: Sequence
     return Doubt(float(frequency[worst]), float(bounds.max()), wary=True)
 
 
-def largest_change(model: ForearmModel, reduced: ReducedModel, smaller: ReducedModel, frequency: FloatArray) -> float:
+def largest_change(model: ForearmModel, reduced: AffineReduced, smaller: AffineReduced, frequency: FloatArray) -> float:
     """Largest change of G over the band by what the ``smaller`` model lacks."""
     probes = probe_frequencies(frequency, ())[::2]
     return float(relative_error(_watched(model, smaller, probes), _watched(model, reduced, probes)).max())
 
 
-def _watched(model: ForearmModel, reduced: ReducedModel, probes: FloatArray) -> ComplexArray:
+def _watched(model: ForearmModel, reduced: AffineReduced, probes: FloatArray) -> ComplexArray:
     """Compliances (n_probe, n_output, n_input) whose error counts."""
     return reduced.compliance(probes)[np.ix_(range(len(probes)), *watched(model))]
 
@@ -316,12 +314,12 @@ def probe_frequencies(frequency: FloatArray, known: Sequence[float]) -> FloatArr
     return np.array(sorted(bins - set(known)))
 
 
-def certified(reduced: ReducedModel, model: ForearmModel, truth: ComplexArray, at: Doubt, used: int) -> Certificate:
+def certified(reduced: AffineReduced, model: ForearmModel, truth: ComplexArray, at: Doubt, used: int) -> Certificate:
     """Error at the watched ports against a direct solution's compliance (n_port, n_port) [m/N]."""
     return Certificate(at.frequency, error_at(reduced, model, at.frequency, truth), at.change, used, at.wary)
 
 
-def error_at(reduced: ReducedModel, model: ForearmModel, frequency: float, truth: ComplexArray) -> float:
+def error_at(reduced: AffineReduced, model: ForearmModel, frequency: float, truth: ComplexArray) -> float:
     """Of the reduced compliance at the watched ports, relative to the largest entry of the ``truth`` there."""
     known = truth[None][np.ix_([0], *watched(model))]
     return float(relative_error(_watched(model, reduced, np.array([frequency])), known)[0])

@@ -20,6 +20,7 @@ from ..assembly.coefficients import is_polynomial, kelvin_voigt_like, rate_weigh
 from ..assembly.model import ForearmModel
 from ..kernels.compiled import give_back
 from ..linear.direct import DirectSolver, make_solver, watched
+from .affine import AffineReduced, compressible, extend, with_last_columns
 from .certificate import (
     DOUBTFUL,
     Certificate,
@@ -32,9 +33,7 @@ from .certificate import (
     most_doubtful_bin,
     sharp_modes,
 )
-from .poles import pole_residue
 from .rate_space import Chunk, Pairs, RateSpace
-from .reduced_model import ReducedModel, compressible, empty_model, extend, with_last_columns
 
 _log = logging.getLogger("forearm_fem.fem")
 _QUIET, _SPREAD = 30.0, -0.2  # [Hz] flesh on bone hardly resonates below; expansions are even in f^-0.2 above it
@@ -115,7 +114,7 @@ class ReducedSweepState:
     bin. ``residual`` is the largest of any solution, ``solve_error`` what it causes in G.
     """
 
-    reduced: ReducedModel
+    reduced: AffineReduced
     rate: float = 0.0
     derivatives: int = 0
     expansions: tuple[Expansion, ...] = ()
@@ -206,7 +205,7 @@ class Expander:
 
     def about_frequencies(self, planned: Sequence[float], progress: Progress | None) -> ReducedSweepState:
         """The model expanded about the ``planned`` frequencies."""
-        made = ReducedSweepState(empty_model(self.model))
+        made = ReducedSweepState(AffineReduced.of(self.model))
         for i, f in enumerate(planned):
             made = self.extended(made, f)
             tell(progress, "expansion frequencies", i + 1, len(planned))
@@ -228,7 +227,7 @@ class Expander:
         tell(progress, "ordering of unknowns", 1, 1)
         self._space = space = RateSpace(solver, self.model.functionals, rate, stored)
         tell(progress, "reduced model", 0, most)
-        reduced, derivatives = empty_model(self.model), 0
+        reduced, derivatives = AffineReduced.of(self.model), 0
         for number in range(-(-most // _AT_ONCE)):
             chunk = stored[number] if number < len(stored) else space.more(min(_AT_ONCE, most - derivatives))
             if number >= len(stored):
@@ -260,7 +259,7 @@ class Expander:
         self.release()
         self._solver, self._options = None, self._options.changed({"precision": "double"})
         space = RateSpace(self._ready(float(frequency[-1])), self.model.functionals, expansion_rate(frequency))
-        reduced, change = empty_model(self.model), np.inf
+        reduced, change = AffineReduced.of(self.model), np.inf
         while change > wanted and reduced.size < _MOST:
             chunk = space.more(_AT_ONCE)
             if not chunk.columns.shape[1]:
@@ -287,7 +286,7 @@ class Expander:
             wary = any(c.wary for c in made.certificates) or not compressible(self.model.operator)
             return doubt(self.model, made.reduced, frequency, known, wary=wary)
         bound = ResidualBound(self._ready(float(frequency[-1])), expansion_rate(frequency))
-        bounds = bound.errors(made.reduced, frequency, pole_residue(made.reduced, frequency))
+        bounds = bound.errors(made.reduced, frequency, made.reduced.modes(frequency))
         return most_doubtful_bin(bounds, frequency, known)
 
     def inverse(self, frequency: FloatArray) -> Callable[[FloatArray], FloatArray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -12,28 +13,30 @@ from ...progress import Progress, tell
 from ...scenario.sweep import SolverOptions
 from ...store.shelf import Shelf
 from ...transfer import relative_error
-from ...typing import BoolArray, ComplexArray, FloatArray
+from ...typing import ComplexArray, FloatArray
 from ..assembly.coefficients import Coefficient, kelvin_voigt_like
 from ..assembly.model import ForearmModel
 from ..linear.direct import DirectSolver, make_solver, watched
+from .affine import AffineReduced, with_last_columns
 from .basis import Basis, real_columns, rough_extension
 from .expansion import expansion_rate
 from .per_query_basis import quick_compliance, quick_state, with_and_without
 from .rate_space import RateSpace
-from .reduced_model import ReducedModel, empty_model, with_last_columns
 
-# The space of :mod:`.united` as it grows, and what of it is kept between calls.
+# The space as it grows, and what of it is kept between calls.
 
 Coefficients = tuple[Coefficient, ...]  # one of each term: what a draw is to the operator
 Sample = tuple[int, float]  # a draw's number and a frequency [Hz]
 _POINTS = 0.1  # what a point's state counts beside a contact's: errors of G are products of the two
 _DROP = 1e-2  # of a solution's length: the error of C is the product of two of these
-_SPACE = "space"
 
 
 @dataclass(frozen=True)
 class TrialSolve:
     """The model's ``estimated`` and ``true`` e(f) at a place that it had not seen: a draw's number and a frequency."""
+
+    kind: ClassVar[str] = "trial solve"
+    version: ClassVar[int] = 1
 
     draw: int
     frequency: float
@@ -61,7 +64,7 @@ class Growing:
         self._model, self._draws, self._options, self._highest = model, draws, options, highest
         self._readings = csr_array((0, model.operator.n_displacements)) if readings is None else readings
         self._kept, self._ready = kept, None
-        self.reduced, self.trials, self.steps = empty_model(model), [], 0
+        self.reduced, self.trials, self.steps = AffineReduced.of(model), [], 0
         self._strong, self._early = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
 
     _ready: DirectSolver | None
@@ -69,19 +72,10 @@ class Growing:
 
     def restored(self) -> None:
         """Go on from what was kept; from nothing where some of it is missing or damaged."""
-        space = self._kept.get(_SPACE)
-        if space is None:
+        if (found := self.reduced.restored(self._kept)) is None:
             return
-        blocks = [self._kept.get(f"columns-{k}") for k in range(int(space["steps"]))]
-        columns = [b["columns"] for b in blocks if b is not None]
-        if len(columns) < len(blocks) or sum(c.shape[1] for c in columns) != len(space["functionals"]):
-            return
-        nothing = np.zeros((len(space["functionals"]), 0))
-        self.reduced = replace(
-            self.reduced, matrices=space["matrices"], functionals=space["functionals"], coupling=space["coupling"],
-            basis=Basis(tuple(columns)), low=nothing,
-        )  # fmt: skip
-        self._strong, self._early, self.steps = space["strong"], space["early"], len(columns)
+        self.reduced, space = found
+        self._strong, self._early, self.steps = space["strong"], space["early"], len(self.reduced.basis.blocks)
         self.trials = [TrialSolve(int(d), f, e, t) for d, f, e, t in space["trials"].tolist()]
 
     def start(self, frequency: FloatArray, derivatives: int) -> None:
@@ -131,17 +125,17 @@ class Growing:
         drawn = (replace(self.reduced, coefficients=self._draws[draw]) for draw, _ in places)
         return [np.asarray(quick_state(reduced, f)) for reduced, (_, f) in zip(drawn, places, strict=True)]
 
-    def compressed(self, shaping: Sequence[ComplexArray], most: int) -> ReducedModel:
+    def compressed(self, shaping: Sequence[ComplexArray], most: int) -> AffineReduced:
         """The model on at most so many principal directions of the states ``shaping`` (r, n_port) it."""
-        return on_directions(self._read(), self._principal(shaping)[:, :most])
+        return self._read().bare().projected(self._principal(shaping)[:, :most])
 
-    def core(self, shaping: Sequence[ComplexArray], most: int) -> ReducedModel:
+    def core(self, shaping: Sequence[ComplexArray], most: int) -> AffineReduced:
         """The same from the early columns alone, in which the states are as far as these hold them."""
         chosen = np.flatnonzero(self._early)
         directions = self._principal([x[chosen] for x in shaping])[:, :most]
-        return on_directions(part_of(self._read(), self._early), directions)
+        return self._read().part(self._early).projected(directions)
 
-    def misfit(self, small: ReducedModel, places: Sequence[Sample], states: Sequence[ComplexArray]) -> float:
+    def misfit(self, small: AffineReduced, places: Sequence[Sample], states: Sequence[ComplexArray]) -> float:
         """Root of the mean square of e(f) of a smaller model at ``places``, against the ``states`` of this one."""
         drawn = [quick_compliance(replace(small, coefficients=self._draws[d]), np.array([f]))[0] for d, f in places]
         truth = [(self.reduced.functionals.T @ x) * self._model.shares for x in states]
@@ -152,7 +146,7 @@ class Growing:
         if self._ready is not None:
             self._ready.factor.release()
 
-    def _read(self) -> ReducedModel:
+    def _read(self) -> AffineReduced:
         """The model with what the readings see of its columns."""
         if len(self.reduced.places) < self.reduced.size:
             used = np.unique(self._readings.indices)
@@ -182,13 +176,9 @@ class Growing:
         marks = [np.full(block.shape[1], s) for block, s in zip(new, strong, strict=True)]
         self._strong = np.concatenate([self._strong, *marks])
         self._early = np.append(self._early, np.full(columns.shape[1], early))
-        self._kept.put(f"columns-{self.steps}", {"columns": columns})
         self.steps += 1
         trials = np.array([astuple(t) for t in self.trials], dtype=float).reshape(-1, 4)
-        self._kept.put(_SPACE, {
-            "steps": self.steps, "strong": self._strong, "early": self._early, "trials": trials,
-            **{name: getattr(self.reduced, name) for name in ("matrices", "functionals", "coupling")},
-        })  # fmt: skip
+        self.reduced.keep(self._kept, strong=self._strong, early=self._early, trials=trials)
 
     def _of(self, draw: Coefficients) -> DirectSolver:
         if self._ready is None:
@@ -196,34 +186,6 @@ class Growing:
         operator = self._model.operator
         terms = tuple(replace(t, coefficient=c) for t, c in zip(operator.terms, draw, strict=True))
         return replace(self._ready, model=replace(self._model, operator=replace(operator, terms=terms)))
-
-
-def part_of(reduced: ReducedModel, kept: BoolArray) -> ReducedModel:
-    """The model on some columns of its space alone; it cannot be extended or drawn, only asked for compliances."""
-    chosen = np.flatnonzero(kept)
-    return replace(
-        reduced,
-        matrices=reduced.matrices[:, chosen[:, None], chosen],
-        functionals=reduced.functionals[chosen],
-        places=reduced.places[chosen],
-        low=np.zeros((len(chosen), 0)),
-        coupling=np.zeros((0, 0)),
-    )
-
-
-def on_directions(reduced: ReducedModel, directions: FloatArray) -> ReducedModel:
-    """The model on orthonormal ``directions`` (r, s) of its space; it cannot be extended or drawn."""
-    s = directions.shape[1]
-    matrices = np.array([directions.T @ m @ directions for m in reduced.matrices])
-    return replace(
-        reduced,
-        matrices=(matrices + matrices.swapaxes(1, 2)) / 2,
-        functionals=directions.T @ reduced.functionals,
-        places=directions.T @ reduced.places,
-        basis=Basis(),
-        low=np.zeros((s, 0)),
-        coupling=np.zeros((0, 0)),
-    )
 
 
 # One reduced space for many tissues: solutions for several coefficients of the same terms, taken where it errs most.
@@ -244,37 +206,25 @@ _TESTED = 12  # states of each part that size its model and do not shape it
 _CORE = 0.7  # of the whole model's directions
 _STEP = 1.25  # ratio of the sizes tried
 _LEAST = 40  # directions
-_MODELS, _ARRAYS = ("whole", "core"), ("matrices", "functionals", "places")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Piece:
     """The models of a part of the band, up to ``high`` [Hz]: the ``whole`` one, and the ``core``, of fewer directions,
     in which a third of the solves had no part. What an answer changes between them is the estimate of its error."""
 
+    kind: ClassVar[str] = "piece of a parametric model"
+    version: ClassVar[int] = 1
+
     high: float
-    whole: ReducedModel
-    core: ReducedModel
+    whole: AffineReduced
+    core: AffineReduced
 
     def change(self, draw: Coefficients, frequency: float) -> tuple[ComplexArray, ComplexArray]:
         """Compliances (n_port, n_port) of the whole and of the core for a draw."""
         one = np.array([frequency])
         whole, core = (quick_compliance(replace(m, coefficients=draw), one)[0] for m in (self.whole, self.core))
         return whole, core
-
-
-@dataclass(frozen=True)
-class United:
-    """A reduced model for many coefficients, in ``pieces`` from the low to the high end of the band.
-
-    ``trials`` were compared while the space grew and then extended it; ``checks`` afterwards, and did not. ``solves``
-    counts the factorisations.
-    """
-
-    pieces: tuple[Piece, ...]
-    trials: tuple[TrialSolve, ...]
-    checks: tuple[TrialSolve, ...]
-    solves: int
 
 
 @dataclass(frozen=True)
@@ -308,8 +258,9 @@ def united_model(
     kept: Shelf,
     progress: Progress | None = None,
     readings: csr_array | None = None,
-) -> United:
-    """A space for the model's own coefficients and those of the ``draws``, in the band of ``frequency`` (n,) [Hz].
+) -> tuple[tuple[Piece, ...], tuple[TrialSolve, ...], tuple[TrialSolve, ...]]:
+    """Pieces, from the low to the high end of the band of ``frequency`` (n,) [Hz], of a space for the model's own
+    coefficients and those of the ``draws``; trials, which then extended it, and checks, which did not.
 
     All draws serve for choosing where to solve and for compression, random ones for checks. What is ``kept`` of an
     interrupted call of the same arguments is not made again. ``readings`` (k, n_u) of places that are no ports are
@@ -319,8 +270,8 @@ def united_model(
     work.restored()
     parts = cut(frequency, growth.parts)
     places = _places(np.random.default_rng([growth.seed, 2]), len(draws), frequency, growth.checks)
-    pieces = [_read_piece(kept, model, k) for k in range(len(parts))]
-    checks = [_read_check(kept, i) for i in range(len(places))]
+    pieces = [kept.record(f"piece-{k}", Piece) for k in range(len(parts))]
+    checks = [kept.record(f"check-{i}", TrialSolve) for i in range(len(places))]
     done, total = 0, 1 + growth.solves - work.steps + sum(x is None for x in (*pieces, *checks))
 
     def step() -> None:
@@ -335,16 +286,18 @@ def united_model(
         step()
     whole = list[Piece]()
     for k, (part, piece) in enumerate(zip(parts, pieces, strict=True)):
-        whole.append(piece or _made_piece(work, kept, k, part, len(draws), growth))
+        whole.append(piece or _made_piece(work, k, part, len(draws), growth))
         if piece is None:
+            kept.keep(f"piece-{k}", whole[-1])
             step()
     compared = list[TrialSolve]()
     for i, (place, check) in enumerate(zip(places, checks, strict=True)):
-        compared.append(check or _made_check(work, kept, i, place, piece_at(whole, place[1]), draws))
+        compared.append(check or _made_check(work, place, piece_at(whole, place[1]), draws))
         if check is None:
+            kept.keep(f"check-{i}", compared[-1])
             step()
     work.release()
-    return United(tuple(whole), tuple(work.trials), tuple(compared), 1 + growth.solves + growth.checks)
+    return tuple(whole), tuple(work.trials), tuple(compared)
 
 
 def _grow(work: Growing, step: int, frequency: FloatArray, growth: Growth) -> None:
@@ -367,7 +320,7 @@ def _grow(work: Growing, step: int, frequency: FloatArray, growth: Growth) -> No
     work.greedy_step(places, min(most, growth.of_contacts), min(most, growth.of_points), early=early)
 
 
-def _made_piece(work: Growing, kept: Shelf, number: int, part: FloatArray, draws: int, growth: Growth) -> Piece:
+def _made_piece(work: Growing, number: int, part: FloatArray, draws: int, growth: Growth) -> Piece:
     """The models of a ``part`` (n,) [Hz] of the band, of as few directions as serve some of the states, which had no
     part in them."""
     rng = np.random.default_rng([growth.seed, 1, number])
@@ -377,43 +330,17 @@ def _made_piece(work: Growing, kept: Shelf, number: int, part: FloatArray, draws
     largest = work.compressed(shaping, growth.most)
     size = min(_LEAST, largest.size)
     while size < largest.size:
-        if work.misfit(part_of(largest, np.arange(largest.size) < size), places[:_TESTED], tested) <= growth.tolerance:
+        if work.misfit(largest.part(slice(size)), places[:_TESTED], tested) <= growth.tolerance:
             break
         size = min(largest.size, round(_STEP * size))
-    whole = part_of(largest, np.arange(largest.size) < size)
     core = work.core(shaping[: growth.states // 2], max(_LEAST // 2, round(_CORE * size)))
-    piece = Piece(float(part[-1]), whole, core)
-    kept.put(f"piece-{number}", {
-        "high": piece.high, **{f"{of}-{name}": getattr(getattr(piece, of), name) for of in _MODELS for name in _ARRAYS}
-    })  # fmt: skip
-    return piece
+    return Piece(float(part[-1]), largest.part(slice(size)), core)
 
 
-def _read_piece(kept: Shelf, model: ForearmModel, number: int) -> Piece | None:
-    found = kept.get(f"piece-{number}")
-    if found is None:
-        return None
-    empty = empty_model(model)
-    whole, core = (replace(empty, **{name: found[f"{of}-{name}"] for name in _ARRAYS}) for of in _MODELS)
-    return Piece(float(found["high"]), whole, core)
-
-
-def _made_check(
-    work: Growing, kept: Shelf, number: int, place: Sample, piece: Piece, draws: Sequence[Coefficients]
-) -> TrialSolve:
+def _made_check(work: Growing, place: Sample, piece: Piece, draws: Sequence[Coefficients]) -> TrialSolve:
     """Answer of a finished ``piece`` at a place, against a direct solution."""
     whole, core = piece.change(draws[place[0]], place[1])
-    check = TrialSolve(*place, *work.errors(whole, core, place))
-    kept.put(f"check-{number}", {"check": np.array(astuple(check), dtype=float)})
-    return check
-
-
-def _read_check(kept: Shelf, number: int) -> TrialSolve | None:
-    found = kept.get(f"check-{number}")
-    if found is None:
-        return None
-    draw, frequency, estimated, true = found["check"].tolist()
-    return TrialSolve(int(draw), frequency, estimated, true)
+    return TrialSolve(*place, *work.errors(whole, core, place))
 
 
 def cut(frequency: FloatArray, parts: int) -> list[FloatArray]:

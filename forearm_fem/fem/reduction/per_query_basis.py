@@ -13,8 +13,8 @@ from scipy.linalg.lapack import csysv, csysv_lwork
 from ...errors import SolverError
 from ...typing import BoolArray, ComplexArray, FloatArray
 from ..assembly.coefficients import Coefficient, grouped
-from .poles import chebyshev_frequencies
-from .reduced_model import ReducedModel, combined
+from .affine import AffineReduced, combined
+from .rational import chebyshev_frequencies
 
 # Dense reduced systems solved in single precision, for answers that need three digits: a fifth of the time.
 # Sums of terms are formed in double precision, so that what cancels between them (the coupling and the compression) is
@@ -28,12 +28,12 @@ class Summed:
     """A reduced model for the coefficients of one draw: ``sums`` (k, r, r) of the terms that have one of its
     ``coefficients`` in common, rounded to single precision."""
 
-    reduced: ReducedModel
+    reduced: AffineReduced
     sums: NDArray[np.float32]
     coefficients: tuple[Coefficient, ...]
 
     @classmethod
-    def of(cls, reduced: ReducedModel) -> Self:
+    def of(cls, reduced: AffineReduced) -> Self:
         """The sums of a model, formed once for however many frequencies are asked."""
         sums = grouped(reduced.coefficients)
         weights, size = np.array([w for w, _ in sums]), reduced.size
@@ -61,20 +61,20 @@ class Summed:
         return np.asarray(np.array(found, dtype=complex).reshape(-1, *reduced.shares.shape * 2) * reduced.shares)
 
 
-def quick_compliance(reduced: ReducedModel, frequency: FloatArray) -> ComplexArray:
-    """Compliance (n_frequency, n_port, n_port) [m/N] as :meth:`.ReducedModel.compliance`, to about 1e-4.
+def quick_compliance(reduced: AffineReduced, frequency: FloatArray) -> ComplexArray:
+    """Compliance (n_frequency, n_port, n_port) [m/N] as :meth:`.AffineReduced.compliance`, to about 1e-4.
 
     Raises SolverError where a system is singular.
     """
     return Summed.of(reduced).compliance(frequency)
 
 
-def quick_state(reduced: ReducedModel, frequency: float) -> Single:
+def quick_state(reduced: AffineReduced, frequency: float) -> Single:
     """Reduced solution (r, n_port) at one frequency [Hz] for a unit force on each port; raises as above."""
     return _solution(_matrix(reduced, frequency), _right(reduced))
 
 
-def with_and_without(reduced: ReducedModel, kept: BoolArray, frequency: float) -> tuple[ComplexArray, ComplexArray]:
+def with_and_without(reduced: AffineReduced, kept: BoolArray, frequency: float) -> tuple[ComplexArray, ComplexArray]:
     """Compliances (n_port, n_port) at one frequency [Hz] of the model and of its ``kept`` (r,) directions alone."""
     matrix, right, chosen = _matrix(reduced, frequency), _right(reduced), np.flatnonzero(kept)
     part = np.asfortranarray(matrix[np.ix_(chosen, chosen)])
@@ -83,13 +83,13 @@ def with_and_without(reduced: ReducedModel, kept: BoolArray, frequency: float) -
     return np.asarray(whole * reduced.shares, dtype=complex), np.asarray(less * reduced.shares, dtype=complex)
 
 
-def _right(reduced: ReducedModel) -> Single:
+def _right(reduced: AffineReduced) -> Single:
     return np.asfortranarray(reduced.functionals.astype(np.complex64))
 
 
-def _matrix(reduced: ReducedModel, frequency: float) -> Single:
+def _matrix(reduced: AffineReduced, frequency: float) -> Single:
     """A (r, r) in columns, from the terms one by one: cheaper than their sums for one frequency."""
-    theta = np.array([complex(c.at(np.array(2 * np.pi * frequency))) for c in reduced.coefficients])
+    theta = reduced.theta(frequency)
     matrix = combined(theta, reduced.matrices.reshape(len(theta), -1), np.complex64)
     return matrix.reshape(reduced.size, reduced.size).T  # symmetric
 

@@ -9,8 +9,8 @@ import numpy as np
 from ...typing import FloatArray
 from ..assembly.coefficients import rate_weights
 from ..linear.direct import ENOUGH, DirectSolver
+from .affine import compressible
 from .basis import Basis, Columns, inverse_or_zero
-from .reduced_model import compressible
 
 # Second-order Krylov space about a real rate: from one factorisation, all that solutions over a wide band consist of.
 # With s = s_0 (1 + d) and real s_0 the dynamic stiffness is A_0 + A_1 d + A_2 d^2, all real, and the derivatives of

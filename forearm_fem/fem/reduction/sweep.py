@@ -14,10 +14,9 @@ from ...store.shelf import Shelf
 from ...typing import ComplexArray, FloatArray
 from ..assembly.model import ForearmModel
 from ..linear.direct import ENOUGH, make_solver
+from .affine import AffineReduced, Modes
 from .certificate import Certificate, certified, error_at, largest_change
 from .expansion import Expander, ReducedSweepState, Snapshots, expansion_frequencies, starts_from_rate
-from .poles import Modes, compressed, pole_residue
-from .reduced_model import ReducedModel
 from .widening import widened
 
 _SHARE = 1e-3  # of what is asked of the reduced model: the residual that its solves are refined to
@@ -39,7 +38,7 @@ class SweepResult:
     values: ComplexArray
     residual: float
     solve_error: float = 0.0
-    reduced: ReducedModel | None = None
+    reduced: AffineReduced | None = None
     expansions: tuple[float, ...] = ()
     certificates: tuple[Certificate, ...] = ()
     poles: Modes | None = None
@@ -48,7 +47,7 @@ class SweepResult:
     solver: str = ""
     rate: float = 0.0
     derivatives: int = 0
-    wider: ReducedModel | None = None
+    wider: AffineReduced | None = None
 
     @property
     def factorisations(self) -> int:
@@ -60,7 +59,7 @@ class SweepResult:
     def unstable_poles(self) -> int:
         """Poles of the reduced model in the right half-plane, far outside the band: it is good for frequencies there.
 
-        None where all tissue is compressible (:func:`.reduced_model.condensed`).
+        None where all tissue is compressible (:func:`.affine.condensed`).
         """
         return 0 if self.reduced is None else self.reduced.negative_directions()
 
@@ -200,10 +199,10 @@ def _swept(model: ForearmModel, made: ReducedSweepState, frequency: FloatArray, 
     small, change = made.reduced, 0.0
     if not wary and not made.rate:  # derivatives about a rate are few enough, and hold for other moduli too
         most = tolerance or _UNCERTIFIED
-        tried = compressed(made.reduced, frequency, drop=max(0.1 * most, 1e-9))  # directions cost about their own size
+        tried = made.reduced.compressed(frequency, drop=max(0.1 * most, 1e-9))  # directions cost about their own size
         changed = largest_change(model, made.reduced, tried, frequency)
         small, change = (tried, changed) if changed <= most else (made.reduced, 0.0)
-    fast = pole_residue(small, frequency)
+    fast = small.modes(frequency)
     values = small.compliance(frequency) if fast is None else fast.compliance(frequency)
     return SweepResult(
         values,

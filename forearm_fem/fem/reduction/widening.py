@@ -10,8 +10,8 @@ from ...typing import ComplexArray, FloatArray
 from ..assembly.model import ForearmModel
 from ..assembly.operator import WeightedSum
 from ..linear.direct import watched
+from .affine import AffineReduced, with_last_columns
 from .basis import rough_extension
-from .reduced_model import ReducedModel, with_last_columns
 
 # What one term after the other is multiplied with, storage and loss: of shear, of masses and sheets.
 _SHEAR, _OTHER = ((3.0, 1.0), (1 / 3, 1.0), (1.0, 0.25)), ((1.5, 1.5),)
@@ -21,8 +21,8 @@ _DROP = 3e-2  # of a direction's length: weaker ones are known
 
 
 def widened(
-    model: ForearmModel, reduced: ReducedModel, frequency: FloatArray, solve: Callable[[FloatArray], FloatArray]
-) -> ReducedModel:
+    model: ForearmModel, reduced: AffineReduced, frequency: FloatArray, solve: Callable[[FloatArray], FloatArray]
+) -> AffineReduced:
     """``reduced``, and behind its columns what its residuals r for other moduli ask for: P^-1 r.
 
     ``solve`` gives P^-1 b for real b (n, k), P the stiffness at a real rate. For other moduli the wider model errs a
@@ -37,7 +37,7 @@ def widened(
     return with_last_columns(reduced, model, columns.astype(float))
 
 
-def _residuals(model: ForearmModel, reduced: ReducedModel, frequency: FloatArray) -> Iterator[FloatArray]:
+def _residuals(model: ForearmModel, reduced: AffineReduced, frequency: FloatArray) -> Iterator[FloatArray]:
     """Residuals (n, 2 n_force), real parts, then imaginary ones, of forces that make displacements of unit length."""
     operator, loaded = model.operator, watched(model)[1]
     for place in _PLACES:
@@ -56,7 +56,7 @@ def _residuals(model: ForearmModel, reduced: ReducedModel, frequency: FloatArray
                 yield np.hstack([rest.real, rest.imag])
 
 
-def _combined(reduced: ReducedModel, states: ComplexArray) -> ComplexArray:
+def _combined(reduced: AffineReduced, states: ComplexArray) -> ComplexArray:
     """Solutions (n, k) of reduced ``states`` (r, k)."""
     real, imaginary = np.hsplit(reduced.basis.combination(np.hstack([states.real, states.imag])), 2)
     return np.asarray(real + 1j * imaginary)

@@ -12,8 +12,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ...device.loop import close_loop
-from ...engines.parametric import BEYOND, ParametricModel
+from ...engines.parametric import ParametricModel
 from ...engines.simulation import Engine
+from ...engines.skin_model import BEYOND
 from ...errors import DataError, ForearmError, ScenarioError
 from ...files.declaration import Declaration, arbitrary_gain, declared_by
 from ...files.read import read

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -33,14 +33,6 @@ from .model import Constraints, Design, DesignFile, Objective, Values
 # Models of an arm that answer for any device on it.
 
 
-class ArmModel(Engine, Protocol):
-    """An engine for any device on one arm: what a design evaluates its candidates on."""
-
-    @property
-    def mark(self) -> str:
-        """Mark that tells its answers from another model's."""
-
-
 class TabulatedArm:
     """The layered model from tables: flat layers without end, any equal discs, a fraction of a second each.
 
@@ -51,22 +43,14 @@ class TabulatedArm:
         self._folder, self._progress = folder, progress
         self._known: dict[str, Tabulated] = {}
 
-    @property
-    def mark(self) -> str:
-        """The scenario says all."""
-        return "layered model"
-
-    @property
-    def name(self) -> str:
-        """See :class:`.Engine`."""
-        return "tables"
+    name = "tables"
 
     def holds(self, scenario: Scenario) -> str:
         """See :class:`.Engine`: as the layered model."""
         return LayeredEngine().holds(scenario)
 
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
-        """See :class:`ArmModel`; entries between two points are NaN."""
+        """See :class:`.Engine`; entries between two points are NaN."""
         ports = flat_ports(scenario)
         omega = 2 * np.pi * frequency
         places = np.array([p.position[:2] for p in ports])
@@ -145,7 +129,7 @@ def _rounded(data: Any) -> Any:
     return float(f"{data:.9g}") if isinstance(data, float) else data
 
 
-def evaluate(design: Design, values: Values, arm: ArmModel) -> Candidate:
+def evaluate(design: Design, values: Values, arm: Engine) -> Candidate:
     """The candidate ``values`` of ``design`` on ``arm``; what cannot be is data, not an error."""
     asked = design.asked
     try:
@@ -174,7 +158,7 @@ def evaluate(design: Design, values: Values, arm: ArmModel) -> Candidate:
     return Candidate(values, over, means, count, voltage, power, total, mass, error, broken)
 
 
-def s_interval(design: Design, candidate: Candidate, arm: ArmModel) -> tuple[float, float]:
+def s_interval(design: Design, candidate: Candidate, arm: Engine) -> tuple[float, float]:
     """Least and largest score [-] that the errors of the model's G allow, by draws (decision 0027)."""
     asked, low, high = design.asked, [], []
     for whole, base in zip(design.scenarios(candidate.values), design.bases, strict=True):
@@ -198,12 +182,12 @@ class _Found:
     error: float
 
 
-def transfer_on(scenario: Scenario, arm: ArmModel) -> TransferMatrix:
+def transfer_on(scenario: Scenario, arm: Engine) -> TransferMatrix:
     """G of the scenario's device on ``arm``."""
     return finite(close_loop(arm.compliance(scenario, frequencies(scenario.sweep)), scenario.device))
 
 
-def _one(whole: Scenario, arm: ArmModel, asked: DesignFile, base: Path) -> _Found:
+def _one(whole: Scenario, arm: Engine, asked: DesignFile, base: Path) -> _Found:
     scenario = _shorter(whole, asked.search.duration)
     check_servable(scenario)
     targets = _targets(scenario, asked.objective)

@@ -20,6 +20,7 @@ from scipy.optimize import differential_evolution, minimize
 from scipy.stats import qmc
 
 from ... import __version__
+from ...engines.simulation import Engine
 from ...errors import ScenarioError
 from ...notebook import Manners
 from ...progress import Progress, tell, within
@@ -33,7 +34,7 @@ from ...store.work import LIGHT, SHARE, cluster, done_once
 from ...store.work import Run as Spread
 from ...typing import BoolArray, FloatArray
 from ..run import Run, run_all
-from .candidate import ArmModel, Candidate, TabulatedArm, evaluate, s_interval, score_of
+from .candidate import Candidate, TabulatedArm, evaluate, s_interval, score_of
 from .model import Design, Values
 
 if TYPE_CHECKING:
@@ -199,7 +200,7 @@ def run_design(
     design: Design,
     folder: str | Path,
     *,
-    arm: ArmModel | None = None,
+    arm: Engine | None = None,
     confirm: bool = True,
     scheduler: str | None = None,
     workers: int | None = None,
@@ -216,7 +217,8 @@ def run_design(
     out = Path(folder).resolve()
     model = arm or TabulatedArm(progress=progress)
     set_kind(out, "design")
-    shelf, asked, total = Shelf(out / WORK, "candidates"), question(design, model.mark), most_candidates(design)
+    asked = question(design, getattr(model, "mark", model.name))
+    shelf, total = Shelf(out / WORK, "candidates"), most_candidates(design)
     mine = [key for key in shelf.known() if key.startswith(asked)]
     known = {key: Candidate.from_json(parts) for key in mine if (parts := shelf.get(key)) is not None}
     with _evaluating(design, model, scheduler, workers, own=arm is None) as run:
@@ -246,7 +248,7 @@ def run_design(
 
 @contextmanager
 def _evaluating(
-    design: Design, arm: ArmModel, scheduler: str | None, workers: int | None, *, own: bool
+    design: Design, arm: Engine, scheduler: str | None, workers: int | None, *, own: bool
 ) -> Iterator[Spread | None]:
     """Spread of candidates over Dask, None for this process: on the ``arm``, sent to each process once, or with
     ``own`` on the layered model that each process makes of tables in its cache."""
@@ -275,7 +277,7 @@ def _evaluating(
         yield many
 
 
-def _evaluated(design: Design, values: Values, arm: ArmModel | None) -> dict[str, Any]:
+def _evaluated(design: Design, values: Values, arm: Engine | None) -> dict[str, Any]:
     """In a worker: on the ``arm`` that was sent, or the layered model of this process."""
     return evaluate(design, values, arm or _own_arm()).as_json()
 
@@ -297,7 +299,7 @@ def _best(candidates: Sequence[Candidate]) -> Candidate:
     raise ScenarioError(f"none of {len(candidates)} candidates is feasible, mostly: {common}; widen variables")
 
 
-def _idle(design: Design, best: Candidate, known: Sequence[Candidate], arm: ArmModel) -> tuple[str, ...]:
+def _idle(design: Design, best: Candidate, known: Sequence[Candidate], arm: Engine) -> tuple[str, ...]:
     """Keys of variables that change nothing of ``best``: not among the ``known`` candidates that differ from it by that
     key alone, nor at the ends and in the middle of its choices."""
     found = list[str]()
@@ -328,7 +330,7 @@ def _confirmed(design: Design, best: Candidate, out: Path, progress: Progress | 
 
 
 def question(design: Design, mark: str = "") -> str:
-    """Digest of what a candidate's numbers depend on: not the search's seed or length. ``mark`` is the arm model's."""
+    """Digest of what a candidate's numbers depend on: not the search's seed or length. ``mark`` is the engine's."""
     asked = design.asked.model_dump(mode="json", include={"set", "objective", "constraints"})
     parts = [__version__, mark, asked, design.asked.search.duration, [dict(d) for d in design.data], _contents(design)]
     return digest_of(parts)[:32]

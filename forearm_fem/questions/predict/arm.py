@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -23,9 +23,8 @@ from ...engines.layered import (
     flat_surface,
 )
 from ...engines.parametric import ParametricModel, parametric_model, reciprocal
-from ...engines.simulation import Engine
 from ...errors import ForearmError, ScenarioError
-from ...fem.reduction.poles import chebyshev_frequencies
+from ...fem.reduction.rational import chebyshev_frequencies
 from ...geometry.limb.thickness import stretches
 from ...layered import layered_compliance
 from ...metrics import smooth_noise
@@ -66,33 +65,6 @@ class Answer:
     shown: frozenset[str] = frozenset()
 
 
-class ArmModel(Engine, Protocol):
-    """An engine for draws of an arm; a draw is a :class:`Scenario` (:func:`.draws.scenario_of`)."""
-
-    @property
-    def held(self) -> frozenset[str]:
-        """Inputs of the priors that the model cannot follow: they stay the scenario's."""
-        ...
-
-    @property
-    def left_out(self) -> str:
-        """Sentence on properties of an arm that the model has not."""
-        ...
-
-    @property
-    def unknown(self) -> str:
-        """Sentence on errors of an answer that could not be estimated and are in no band; empty without any."""
-        ...
-
-    def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
-        """The same with what it may be as well."""
-        ...
-
-    def answers(self, scenario: Scenario, seen: Scenario, frequency: FloatArray) -> tuple[Answer, Compliance]:
-        """The same, and the compliance of ``seen``, which has points elsewhere or read otherwise."""
-        ...
-
-
 @dataclass(frozen=True)
 class LayeredArm:
     """The semi-analytic layered model with fewer terms: 981 bins in about half a second, with a true error of G below 1
@@ -109,7 +81,7 @@ class LayeredArm:
 
     @property
     def name(self) -> str:
-        """See :class:`ArmModel`."""
+        """See :class:`.Engine`."""
         return "layered model"
 
     def holds(self, scenario: Scenario) -> str:
@@ -118,12 +90,12 @@ class LayeredArm:
 
     @property
     def held(self) -> frozenset[str]:
-        """See :class:`ArmModel`: nothing."""
+        """Inputs of the priors that the model cannot follow, which stay the scenario's: none."""
         return frozenset()
 
     @property
     def left_out(self) -> str:
-        """See :class:`ArmModel`."""
+        """Sentence on properties of an arm that the model has not."""
         beside = "; the scene itself is solved by finite elements, so that it may lie beside its own arms"
         return (
             "the arms are flat layers without end: girth, taper, bones and the device's place on the limb are not in "
@@ -132,11 +104,11 @@ class LayeredArm:
 
     @property
     def unknown(self) -> str:
-        """See :class:`ArmModel`: nothing."""
+        """Sentence on errors of an answer that could not be estimated and are in no band: none."""
         return ""
 
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
-        """See :class:`ArmModel`."""
+        """See :class:`.Engine`."""
         scenario = without_bones(scenario)
         return self._between(scenario, flat_ports(scenario), frequency)
 
@@ -159,11 +131,11 @@ class LayeredArm:
         return Compliance(frequency, between_ports(found.values, ports), ports, (estimate,))
 
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
-        """See :class:`ArmModel`: its errors are noise."""
+        """The same with what it may be as well: its errors are noise."""
         return Answer(self.compliance(scenario, frequency))
 
     def answers(self, scenario: Scenario, seen: Scenario, frequency: FloatArray) -> tuple[Answer, Compliance]:
-        """See :class:`ArmModel`: one solve for the points of both, whose contacts are the same."""
+        """The same, and the compliance of ``seen``, which has points elsewhere or read otherwise, by one solve."""
         scenario, seen = without_bones(scenario), without_bones(seen)
         own, laid = flat_ports(scenario), flat_ports(seen)
         points = tuple(port for port in laid if port.kind == "point")
@@ -205,7 +177,7 @@ class ReducedArm:
 
     @property
     def name(self) -> str:
-        """See :class:`ArmModel`."""
+        """See :class:`.Engine`."""
         return "parametric finite elements, geometry by the layered model"
 
     def holds(self, scenario: Scenario) -> str:
@@ -214,13 +186,13 @@ class ReducedArm:
 
     @property
     def held(self) -> frozenset[str]:
-        """See :class:`ArmModel`: nothing, or all geometry where the layered model cannot say what it changes."""
+        """See :class:`LayeredArm`: nothing, or all geometry where the layered model cannot say what it changes."""
         fascia = () if has_fascia(self.scenario) else (FASCIA,)
         return frozenset((*fascia, *(_GEOMETRY if self.scenario.tissues.patch.is_on else ())))
 
     @property
     def left_out(self) -> str:
-        """See :class:`ArmModel`."""
+        """See :class:`LayeredArm`."""
         still = self.model.around is None
         kinds = [] if self.model.thickness else ["thickness"]
         kinds += ["contact area", *(["the grid's place"] if still else [])]
@@ -238,16 +210,16 @@ class ReducedArm:
 
     @property
     def unknown(self) -> str:
-        """See :class:`ArmModel`: the mesh's error where there is no second mesh."""
+        """See :class:`LayeredArm`: the mesh's error where there is no second mesh."""
         return f"what the mesh errs by for each arm is unknown ({self.without})" if self.meshes is None else ""
 
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
-        """See :class:`ArmModel`; the mesh's and the geometry's share of the error are estimates of their own."""
+        """See :class:`.Engine`; the mesh's and the geometry's share of the error are estimates of their own."""
         return self.answer(scenario, frequency).compliance
 
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
-        """See :class:`ArmModel`: each error may be missed by its size at each pair of ports, alike at all of them or in
-        any phase at each."""
+        """See :class:`LayeredArm`: each error may be missed by its size at each pair of ports, alike at all of them or
+        in any phase at each."""
         own = with_scene_geometry(self.scenario, scenario)  # but with its own grid where both meshes can read it
         models = [self.model] if self.meshes is None else [self.model, self.meshes.second]
         if all(m.stretches(scenario) for m in models):
@@ -269,7 +241,7 @@ class ReducedArm:
         return Answer(found, perturbed_answers(found, off), frozenset(e.source for e in found.errors))
 
     def answers(self, scenario: Scenario, seen: Scenario, frequency: FloatArray) -> tuple[Answer, Compliance]:
-        """See :class:`ArmModel`."""
+        """See :class:`LayeredArm`."""
         return self.answer(scenario, frequency), self.compliance(seen, frequency)
 
     def _changed(self, found: Compliance, scenario: Scenario, own: Scenario) -> tuple[Compliance, Any, FloatArray]:
@@ -323,6 +295,9 @@ class ReducedArm:
             share = _BETWEEN * left.max() + (_SCATTERED if far else 0.0)
             error[kind] = (np.interp(frequency, nodes, off) + share * size)[:, None, None]
         return between, error
+
+
+ArmModel = LayeredArm | ReducedArm  # engines for draws of an arm; a draw is a scenario (:func:`.draws.scenario_of`)
 
 
 def _nearness(scenario: Scenario) -> float:

@@ -30,6 +30,7 @@ from ...rendering.funneling import is_thesis_grid
 from ...rendering.interval import Strength, interval
 from ...rendering.job import RenderJob, check_servable, wavelet
 from ...results.draws import DRAWS_FILE, KEPT, READINGS, DrawsFile, Outcome
+from ...results.files import TransferFile
 from ...scenario import Scenario
 from ...scenario.shipped import code_files, contents, named_files
 from ...scenario.sweep import frequencies
@@ -259,12 +260,14 @@ def predict(
     plain = _plain(question)
     prepared = _prepared(plain, progress)  # an arm that cannot be is said before minutes of solving
     _, renderers, arm = prepared
-    tell(progress, "the scene itself", 0, 1)
-    nominal, errors = _nominal(question, progress)
     shelf, digest = Shelf(out / WORK, "finished draws"), question.digest
     jobs = {f"draw-{n}-{digest[:32]}": Job(plain, n) for n in range(draws)}
+    scene = f"scene-{digest[:32]}"
     if not resume:
-        shelf.drop(*jobs)
+        shelf.drop(scene, *jobs)
+    tell(progress, "the scene itself", 0, 1)
+    nominal, errors = _nominal(question, shelf, scene, progress)
+    set_kind(out, "prediction")
     known = set(shelf.known())
     reused = sum(key in known for key in jobs)
     count = workers or min(max(1, draws - reused), light_workers())
@@ -275,8 +278,6 @@ def predict(
     )  # fmt: skip
     kept = dict[int, Outcome]()
     for key, parts in made:
-        if not kept:  # a prediction that ends before its first draw leaves nothing
-            set_kind(out, "prediction")
         kept[jobs[key].number] = _outcome(jobs[key].number, parts, renderers)
     frequency, unit = frequencies(question.scenario.sweep), UNITS[question.scenario.device.drive]
     of = renderers.names, renderers.targets
@@ -337,12 +338,20 @@ def expanded(held: Collection[str], scenario: Scenario) -> frozenset[str]:
     return frozenset({*names, *each, *({"tissue"} & set(held))})
 
 
-def _nominal(question: Question, progress: Progress | None) -> tuple[Strength, tuple[ErrorEstimate, ...]]:
-    """The scene's own S with its interval, and what its G errs by."""
+def _nominal(
+    question: Question, shelf: Shelf, key: str, progress: Progress | None
+) -> tuple[Strength, tuple[ErrorEstimate, ...]]:
+    """The scene's own S with its interval, and what its G errs by; G is on the ``shelf`` under ``key`` once solved."""
+
+    def solved() -> TransferFile:
+        """G of the scene."""
+        return TransferFile(simulate(scenario, base=base, progress=within(progress, "the scene itself")).transfer)
+
     scenario, base = question.scenario, question.base
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AccuracyWarning)  # `run` says them
-        transfer = simulate(scenario, base=base, progress=within(progress, "the scene itself")).transfer
+        transfer = shelf.once(key, TransferFile, solved).transfer
+        assert transfer is not None
         account = RenderJob.of(scenario, transfer, base=base).play(transfer).strength
     tell(progress, "the scene itself", 1, 1)
     return account, transfer.errors

@@ -12,8 +12,9 @@ import numpy as np
 
 from ... import __version__
 from ...accuracy.estimates import accuracy_verdict
+from ...engines.library import ArmLibrary
 from ...engines.simulation import simulate
-from ...engines.skin_model import ReducedFile
+from ...engines.skin_model import load_skin_model
 from ...errors import DataError, GeometryError, ScenarioError
 from ...files.declaration import arbitrary_gain
 from ...geometry.device.layout import layout_of
@@ -48,7 +49,7 @@ from .anywhere import Anywhere, anywhere_of, packed_anywhere
 from .field import Field, solved_field
 from .flat import between_points, flat_field
 from .packed import amplitudes_in_half_precision, in_half_precision, packed
-from .places import LibraryOfArm, Places, patch_field, places_of
+from .places import Places, patch_field, places_of
 
 FORMAT = 1  # of the content; the page's own files carry it too
 _ARMS = 8  # drawn arms that a page holds: 1.5 MB of the thesis' scene
@@ -102,7 +103,7 @@ def _anywhere(
 
 
 def library_content(
-    arm: LibraryOfArm, scenario: Scenario, stamp: str, progress: Progress | None = None, base: Path = Path()
+    arm: ArmLibrary, scenario: Scenario, stamp: str, progress: Progress | None = None, base: Path = Path()
 ) -> dict[str, Any]:
     """The page's content for an arm's library, whose actuators can be dragged; ``scenario`` is one on the same arm, its
     files seen from ``base``.
@@ -132,7 +133,7 @@ def library_content(
     }
 
 
-def _packed_places(places: Places, arm: LibraryOfArm, scenario: Scenario) -> dict[str, Any]:
+def _packed_places(places: Places, arm: ArmLibrary, scenario: Scenario) -> dict[str, Any]:
     layout, patch, near = layout_of(scenario), arm.scenario.library, places.near
     assert near is not None
     real = {k: packed(getattr(places, k), "f8") for k in ("xy", "flat", "position", "axis", "points", "inverse")}
@@ -264,15 +265,14 @@ def _model(results: Results, placed: BinnedTransfer) -> dict[str, Any]:
     contacts, points = compliance.indices("contact"), compliance.indices("point")
     order = [*contacts, *points]
     if results.has("reduced.nc"):
-        found = load(results.path("reduced.nc"), ReducedFile)
-        poles, left, right = found.poles, found.left, found.right
-        if poles is not None and left is not None and right is not None and _same_ports(found.ports, compliance.ports):
+        found = load_skin_model(results.path("reduced.nc"))
+        if (modes := found.poles) is not None and _same_ports(found.ports, compliance.ports):
             return {
                 "kind": "poles",
-                "poles": packed(poles, "c16"),
-                "left": packed(left[order], "c16"),
-                "right": packed(right[:, order], "c16"),
-                "shares": packed(found.shares[order], "f8"),
+                "poles": packed(modes.poles, "c16"),
+                "left": packed(modes.left[order], "c16"),
+                "right": packed(modes.right[:, order], "c16"),
+                "shares": packed(modes.shares[order], "f8"),
             }
     values = compliance.values[:, order][:, :, contacts]
     bins = place_on_bins(

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from ...device import close_loop
-from ...engines.simulation import SolvingEngine
+from ...engines.library import ArmLibrary
 from ...errors import GeometryError
 from ...geometry.device.layout import layout_of
 from ...ports import Port, positions
@@ -30,40 +29,6 @@ _CHECKED, _SEED = 4, 0  # arrangements besides the scenario's own on which all o
 _TRIES = 400
 _RIM = 3e-4  # [m] from a rim to what is asked for: the layered model's tables end there
 _SIDE = 48  # stretches of the picture's longer side
-
-
-class FlatLengths(Protocol):
-    """Lengths along the skin, as of :class:`forearm_fem.engines.library.skin.FlatSkin`."""
-
-    def flat(self, points: FloatArray) -> FloatArray:
-        """(n, 2) of points (n, 3)."""
-        ...
-
-    def places(self, flat: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Points (n, 3) and normals (n, 3) at (n, 2)."""
-        ...
-
-
-class LibraryOfArm(SolvingEngine, Protocol):
-    """Interface of an :class:`forearm_fem.engines.library.ArmLibrary`."""
-
-    @property
-    def scenario(self) -> Scenario:
-        """Of which it was made."""
-        ...
-
-    @property
-    def skin(self) -> FlatLengths:
-        """The skin laid flat."""
-        ...
-
-    def compliance(self, scenario: Scenario, frequency: FloatArray | None = None) -> Compliance:
-        """Of the scenario's contacts and points, at its own frequencies unless others are given."""
-        ...
-
-    def ports(self, scenario: Scenario) -> tuple[Port, ...]:
-        """Of the scenario, after all refusals."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +120,7 @@ def kernel(scale: float, a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray((1 + s + 0.4 * s**2 + s**3 / 15) * np.exp(-s))
 
 
-def places_of(arm: LibraryOfArm, scenario: Scenario, progress: Progress | None = None) -> tuple[Places, ErrorEstimate]:
+def places_of(arm: ArmLibrary, scenario: Scenario, progress: Progress | None = None) -> tuple[Places, ErrorEstimate]:
     """Places on the patch of ``arm`` for the contacts and points of ``scenario``, and what they miss of the library.
 
     Asks the library for one disc at each of up to 60 places, and at each of the grid's points. The error is the worst
@@ -184,7 +149,7 @@ def places_of(arm: LibraryOfArm, scenario: Scenario, progress: Progress | None =
     return found, _missed(arm, plain, found)
 
 
-def patch_field(arm: LibraryOfArm, places: Places) -> Field:
+def patch_field(arm: ArmLibrary, places: Places) -> Field:
     """The skin of a library's patch, drawn between the places that the page knows; its amplitudes are found there."""
     patch = arm.scenario.library
     sides = np.array([patch.length, patch.width]) * (1 - 1e-6)
@@ -212,7 +177,7 @@ def _pairs(places: FloatArray) -> tuple[tuple[float, float], ...]:
     return tuple((float(x), float(y)) for x, y in places)
 
 
-def _lattice(arm: LibraryOfArm, scenario: Scenario, most: int) -> FloatArray:
+def _lattice(arm: ArmLibrary, scenario: Scenario, most: int) -> FloatArray:
     """Places (n, 2), ``most`` at most, on an even net over the patch where the library takes a disc."""
     patch, a = arm.scenario.library, scenario.device.cone.radius
     sides = np.array([patch.length, patch.width]) - 2 * a
@@ -223,7 +188,7 @@ def _lattice(arm: LibraryOfArm, scenario: Scenario, most: int) -> FloatArray:
     return np.array([place for place in points[:, :2] if _taken(arm, scenario, place)])
 
 
-def _alone(arm: LibraryOfArm, scenario: Scenario, place: FloatArray) -> Port:
+def _alone(arm: ArmLibrary, scenario: Scenario, place: FloatArray) -> Port:
     """One disc at ``place`` (2,) seen from above.
 
     Some point must be asked with it: the middle of the patch, or one beside it if the disc covers that.
@@ -233,7 +198,7 @@ def _alone(arm: LibraryOfArm, scenario: Scenario, place: FloatArray) -> Port:
     return arm.ports(moved(scenario, place[None], point[None]))[0]
 
 
-def _taken(arm: LibraryOfArm, scenario: Scenario, place: FloatArray) -> bool:
+def _taken(arm: ArmLibrary, scenario: Scenario, place: FloatArray) -> bool:
     try:
         _alone(arm, scenario, place)
     except GeometryError:
@@ -241,7 +206,7 @@ def _taken(arm: LibraryOfArm, scenario: Scenario, place: FloatArray) -> bool:
     return True
 
 
-def _difference(arm: LibraryOfArm, scenario: Scenario, bare: Places, progress: Progress | None) -> ComplexArray:
+def _difference(arm: ArmLibrary, scenario: Scenario, bare: Places, progress: Progress | None) -> ComplexArray:
     """Library less layered model (n_frequency, n, n): a disc at each place, seen at all of them."""
     found = []
     for i, place in enumerate(bare.xy):
@@ -250,7 +215,7 @@ def _difference(arm: LibraryOfArm, scenario: Scenario, bare: Places, progress: P
     return np.stack(found, axis=1)
 
 
-def _near(arm: LibraryOfArm, scenario: Scenario, bare: Places, points: FloatArray, progress: Progress | None) -> Near:
+def _near(arm: ArmLibrary, scenario: Scenario, bare: Places, points: FloatArray, progress: Progress | None) -> Near:
     """The difference from a disc anywhere to each of the grid's points.
 
     By reciprocity: a disc stands at the point, and its motion is read at the places, as many as one likes. Which of the
@@ -268,7 +233,7 @@ def _near(arm: LibraryOfArm, scenario: Scenario, bare: Places, points: FloatArra
 
 
 def _sent(
-    arm: LibraryOfArm,
+    arm: ArmLibrary,
     scenario: Scenario,
     bare: Places,
     place: FloatArray,
@@ -317,7 +282,7 @@ def _process(xy: FloatArray, right: ComplexArray, left: ComplexArray) -> tuple[f
     return best[1], best[2]
 
 
-def _missed(arm: LibraryOfArm, scenario: Scenario, places: Places) -> ErrorEstimate:
+def _missed(arm: ArmLibrary, scenario: Scenario, places: Places) -> ErrorEstimate:
     """G of the places against G of the library, on the scenario's arrangement and drawn ones; the worst of them."""
     layout = layout_of(scenario)
     home = arm.compliance(moved(scenario, layout.contacts, layout.points))
@@ -338,7 +303,7 @@ def _missed(arm: LibraryOfArm, scenario: Scenario, places: Places) -> ErrorEstim
     )  # fmt: skip
 
 
-def _drawn(arm: LibraryOfArm, scenario: Scenario, home: FloatArray) -> list[tuple[FloatArray, Compliance]]:
+def _drawn(arm: ArmLibrary, scenario: Scenario, home: FloatArray) -> list[tuple[FloatArray, Compliance]]:
     """Arrangements of as many discs that the library takes, and its answers."""
     rng, points = np.random.default_rng(_SEED), layout_of(scenario).points
     found: list[tuple[FloatArray, Compliance]] = []

@@ -19,7 +19,7 @@ import { all, openEdges, seen } from "./seen.js";
 import { eyeOf, matrixOf, project } from "./view.js";
 import { METHODS } from "./experiment.js";
 
-const BULGE = 5, FILM = [-0.012, 0.0175], GLANCES = 24, NEAR = 15, FREE = 14;
+const BULGE = 5, FILM = [-0.01225, 0.01775], GLANCES = 60, NEAR = 15, FREE = 14;
 const STOPS = {
   light: [0.10, 0.27, 0.58, 0.45, 0.66, 0.87, 0.93, 0.915, 0.885, 0.95, 0.65, 0.42, 0.70, 0.22, 0.10],
   dark: [0.45, 0.72, 0.98, 0.22, 0.42, 0.66, 0.25, 0.255, 0.27, 0.68, 0.36, 0.20, 0.99, 0.62, 0.34],
@@ -98,7 +98,7 @@ export class Arms {
     this.shown.set(key, { track, limit: rms ? nice(most / 2) : most, gain: most > 0 && !rms ? nice((factor * BULGE) / Math.max(reach, 1e-30)) : 0, rms });
   }
 
-  /** Largest displacement of the skin [m], at some of a film's instants: both are drawn alike. @param {Track} track */
+  /** Largest displacement of the skin [m], at a film's instants: both are drawn alike. @param {Track} track */
   highest(track) {
     const known = this.reaches.get(track);
     if (known !== undefined) return known;

@@ -18,7 +18,7 @@ export function polesOf(model) {
 }
 
 /**
- * C(omega) = sum_k left_ik right_kj share_j / (i omega - pole_k), made symmetric as in Python's fem/reduction/poles.py.
+ * C(omega) = sum_k left_ik right_kj share_j / (i omega - pole_k), made symmetric as in Python's fem/reduction/affine.py.
  *
  * Ports are contacts first; (frequency x ports x contacts), the last fastest.
  * @param {Poles} model @param {ArrayLike<number>} frequency [Hz] @param {number} contacts @returns {Complex} [m/N]
