@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.stats import qmc
 
 from .. import __version__
 from ..accuracy.estimates import PairErrors, raised_to_row_column_mean
@@ -70,6 +69,8 @@ class Ranges:
 
     def draws(self, scenario: Scenario, count: int, *, seed: int = 0) -> tuple[Scenario, ...]:
         """``count`` arms by a Latin hypercube over all inputs."""
+        from scipy.stats import qmc
+
         names = soft_tissues(scenario)
         layers = len(getattr(scenario.limb, "layers", ())) if self.thickness != 1 else 0
         places = qmc.LatinHypercube(3 * len(names) + 1 + layers, rng=seed).random(count)
