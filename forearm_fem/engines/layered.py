@@ -71,7 +71,7 @@ def solve_layered(scenario: Scenario, frequency: FloatArray, *, progress: Progre
     )  # fmt: skip
     values = between_ports(result.values, ports)
     integrals = (result.quadrature + result.interpolation) * _over_points(values, ports)
-    error = np.asarray(result.truncation + integrals)
+    error = np.asarray(result.truncation + result.sheet + integrals)
     estimate = quadrature_estimate(
         frequency, error,
         "Hankel quadrature's own control and the last coefficients between frequencies, relative to the largest entry "

@@ -119,7 +119,8 @@ class LayeredResult:
 
     ``quadrature``, ``truncation`` and ``interpolation`` (n_freq,) are estimated absolute errors over the largest
     |value| at that frequency: of the integrals, of the series of tractions under rigid discs (0 without any), and of
-    what lies between the frequencies that were computed. ``n_kernel``: kernel evaluations spent.
+    what lies between the frequencies that were computed. ``sheet``: of its polynomials. ``n_kernel``: kernel evaluations
+    spent.
     """
 
     values: ComplexArray
@@ -127,11 +128,12 @@ class LayeredResult:
     truncation: FloatArray
     interpolation: FloatArray
     n_kernel: int
+    sheet: FloatArray
 
     @property
     def error(self) -> FloatArray:
         """All errors together (n_freq,)."""
-        return self.quadrature + self.truncation + self.interpolation
+        return self.quadrature + self.truncation + self.interpolation + self.sheet
 
 
 def layered_compliance(
@@ -143,6 +145,7 @@ def layered_compliance(
     base: Base = "halfspace",
     surface: Surface | None = None,
     sheet: Sheet | None = None,
+    degrees: int = DEGREES,
     tolerance: float = 1e-6,
     terms: int | None = None,
     orders: int | None = None,
@@ -164,7 +167,8 @@ def layered_compliance(
     Parameters
     ----------
     layers : from the surface down, see :class:`Layer`; ``base`` says what carries the last.
-    surface, sheet : on all of it, and on a rectangle (:mod:`forearm_fem.layered.tape`).
+    surface, sheet : on all of it, and on a rectangle (:mod:`forearm_fem.layered.tape`), by ``degrees`` polynomials
+        along each side.
     omega : (n_freq,) array, > 0 [rad/s], convention e^{+i omega t}.
     tolerance : error of the integrals relative to the largest |value| at each frequency.
     terms, orders : of the tractions under rigid discs; None: as waves, layers and distances ask for. What they
@@ -194,14 +198,15 @@ def layered_compliance(
     asked[np.ix_(rows, columns)] = True
     kinds = tuple(kind for each in system.kinds() if (kind := each & (asked | asked.T)).any()) or (asked | asked.T,)
     integrals = Integrals(medium, system.table, tolerance)
-    tape = None if sheet is None else Tape(sheet, medium, system, tuple(discs))
+    tape = None if sheet is None else Tape(sheet, medium, system, tuple(discs), degrees)
     evaluate = _Evaluation(integrals, system, kinds, (rows, columns), judged, expected, progress, tape)
     sharp = bool(np.any(medium.loss(omega) < LOW_LOSS))  # poles near the axis: nothing smooth to follow
     found = (*evaluate(omega), np.zeros(omega.size)) if sharp else sampled(evaluate, omega, tolerance)
     values, errors, interpolation = found
     quadrature, truncation = errors.T
+    missed = np.zeros(omega.size)
     if tape is not None:
-        truncation = truncation + _missed(replace(evaluate, tape=replace(tape, count=DEGREES - FEWER)), omega, values)
+        missed = _missed(replace(evaluate, tape=replace(tape, count=tape.count - FEWER)), omega, values)
     if np.any(quadrature > tolerance):
         warnings.warn(f"layered: error {quadrature.max():.1e} > tolerance {tolerance:.1e}", AccuracyWarning, 2)
     if seen is not None and driven is not None:
@@ -211,7 +216,7 @@ def layered_compliance(
     alone = [[a.radius == b.radius == 0 and (a.x, a.y) == (b.x, b.y) and (a.x, a.y) in free for b in discs_in]
              for a in discs_out]  # fmt: skip
     values[:, np.array(alone, dtype=bool)] = np.nan
-    return LayeredResult(values, quadrature, truncation, interpolation, evaluate.n_kernel)
+    return LayeredResult(values, quadrature, truncation, interpolation, evaluate.n_kernel, missed)
 
 
 @dataclass

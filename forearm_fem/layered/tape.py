@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, partial
 from itertools import pairwise
 from types import MappingProxyType
+from typing import Self
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
 from .discs import Component, Disc, Galerkin, Traction
-from .hankel import Numbers, Radial, bessels, transforms
+from .hankel import Radial, bessels, transforms
 from .integrals import Medium, product
 from .kernel import surface_compliance
 
@@ -116,9 +117,7 @@ def _rays(panel: tuple[float, float], a: float, b: float, extent: float, orders:
         np.array(bessels(DEGREES - 1, np.multiply.outer(k, side))) for side in (a * np.cos(phi), b * np.sin(phi))
     )
     degrees = {parity: _degrees(parity) for parity in _SECTORS}
-    shapes = {
-        parity: np.asarray(np.moveaxis(along[p] * across[q], 0, 2).real) for parity, (p, q) in degrees.items()
-    }
+    shapes = {parity: np.asarray(np.moveaxis(along[p] * across[q], 0, 2).real) for parity, (p, q) in degrees.items()}
     return _Rays(k, share, phi, 0.5 * np.pi / n / (4 * np.pi**2), shapes)
 
 
@@ -261,36 +260,44 @@ class Tape:
         rows = self._rows(kernels)
         kernels = [np.concatenate([each, limit[:, None]], axis=1)
                    for each, limit in zip(kernels, self.medium.limits(omega), strict=True)]  # fmt: skip
+        known: dict[tuple[int, Key], ComplexArray] = {}
         for sector in _SECTORS:
             membrane, bending, mass, inverse = _stiffness(*self._halves, self.count, sector)
             in_plane = self.sheet.membrane + 1j * omega * self.sheet.viscosity
             kappa = np.multiply.outer(in_plane, membrane) + self.sheet.bending * bending
             kappa -= np.multiply.outer(omega**2 * self.sheet.mass, mass)
-            c = self._skin(kernels, sector)
-            h = np.concatenate([rows[i][parity] for i, parity in enumerate(_components(sector))], axis=2)
+            c, h = self._skin(kernels, sector, known), rows[sector]
             held = np.linalg.solve(np.eye(c.shape[1]) + kappa @ c, kappa @ h.swapaxes(1, 2))  # Y H^T, Y symmetric
-            out[:, others[:, None], others] -= h @ held
+            image, sign = self._images.number, self._images.sign(sector)
+            out[:, others[:, None], others] -= np.multiply.outer(sign, sign) * (h @ held)[:, image[:, None], image]
             if riding.size:
-                seen = (self._moved(sector) @ inverse) @ (c @ held)
+                seen = sign * ((self._moved(sector) @ inverse) @ (c @ held))[:, :, image]
                 out[:, riding[:, None], others] -= seen
                 out[:, others[:, None], riding] -= seen.swapaxes(1, 2)
         return 0.5 * (out + out.swapaxes(1, 2))
 
-    def _skin(self, kernels: Sequence[ComplexArray], sector: Parity) -> ComplexArray:
+    def _skin(
+        self, kernels: Sequence[ComplexArray], sector: Parity, known: dict[tuple[int, Key], ComplexArray]
+    ) -> ComplexArray:
         """C (n_freq, f, f) of a sector: half sum and half difference along and across waves meet in x and y."""
         weights = _under(*self._halves)
 
         def of(kernel: int, key: Key) -> ComplexArray:
-            each = weights[key][:, self._kept(key[0])][:, :, self._kept(key[1])]
-            return product(kernels[kernel], each.reshape(len(each), -1)).reshape(-1, *each.shape[1:])
+            if (kernel, key) not in known:  # along x in one sector is along y in another
+                each = weights[key][:, self._kept(key[0])][:, :, self._kept(key[1])]
+                found = product(kernels[kernel], each.reshape(len(each), -1))
+                known[kernel, key] = found.reshape(-1, *each.shape[1:])
+            return known[kernel, key]
 
         def turned(m: ComplexArray) -> ComplexArray:
             return m.swapaxes(1, 2)
 
         x, x2, y, y2, both, z, zx, zy = _keys(sector)
         xx, yy, xy = of(2, x) + of(3, x2), of(2, y) - of(3, y2), of(3, both)
-        zx_, zy_ = of(1, zx), of(1, zy)
-        return np.asarray(np.block([[xx, xy, turned(zx_)], [turned(xy), yy, turned(zy_)], [zx_, zy_, of(0, z)]]))
+        along, across = of(1, zx), of(1, zy)
+        return np.asarray(
+            np.block([[xx, xy, turned(along)], [turned(xy), yy, turned(across)], [along, across, of(0, z)]])
+        )
 
     def _kept(self, parity: Parity) -> BoolArray:
         """Which of all functions of one parity are of degrees below ``count``."""
@@ -308,66 +315,90 @@ class Tape:
             rows.append(np.concatenate([part * x[p] * y[q] for part, (p, q) in zip(shares, sides, strict=True)]))
         return np.array(rows, dtype=complex)
 
-    def _rows(self, kernels: Sequence[ComplexArray]) -> list[dict[Parity, ComplexArray]]:
-        """H (n_freq, n, f) of components x, y and z by parity."""
-        own = [(self.system.tractions[i], self.discs[self.system.owner[i]]) for i in self._others]
-        radials = tuple(dict.fromkeys(t.radial for t, _ in own))
-        seen = _Integrals(self, kernels, dict(zip(radials, transforms(radials, _nodes()).T, strict=True)),
-                          max(abs(t.m + shift) for t, _ in own for shift in _SHIFTS[t.component]))  # fmt: skip
-        out: list[dict[Parity, ComplexArray]] = [{}, {}, {}]
-        for parity in _SECTORS:
-            each = [seen.of(traction, disc, parity) for traction, disc in own]
-            for found, columns in zip(out, zip(*each, strict=True), strict=True):
-                found[parity] = self._freed(np.stack(columns, axis=1))
+    @cached_property
+    def _images(self) -> _Images:
+        """Mirror images of :attr:`_others` in the first quadrant."""
+        return _Images.of([(self.system.tractions[i], self.discs[self.system.owner[i]]) for i in self._others])
+
+    def _rows(self, kernels: Sequence[ComplexArray]) -> dict[Parity, ComplexArray]:
+        """H (n_freq, images, f) of each sector, rings freed of their net force and moment, as in A."""
+        images, known = self._images, dict[tuple[int, Radial, float, float, int, Parity], ComplexArray]()
+        radials = tuple(dict.fromkeys(t.radial for t, _, _ in images.distinct))
+        transform = dict(zip(radials, transforms(radials, _nodes()).T, strict=True))
+        orders = max(abs(t.m) for t, _, _ in images.distinct) + 2
+
+        def each(kernel: int, m: int, traction: Traction, x: float, y: float, parity: Parity) -> ComplexArray:
+            """Work on the tractions under the tape (n_freq, f), of order m in all."""
+            key = kernel, traction.radial, x, y, m, parity
+            if key not in known:
+                weights = _towards(*self._halves, x, y, orders)[m, parity][:, self._kept(parity)]
+                known[key] = (kernels[kernel] * transform[traction.radial]) @ weights
+            return known[key]
+
+        place = {int(i): number for i, number in zip(self._others, images.number.tolist(), strict=True)}
+        freed = {(place[ring], place[ball], share) for pairs, share in self.system.moved
+                 for ring, ball in pairs.T.tolist()}  # fmt: skip
+        out = {}
+        for sector in _SECTORS:
+            rows = []
+            for t, px, py in images.distinct:
+                one = partial(each, traction=t, x=px, y=py)
+                rows.append(np.concatenate(_work(t, one, *_components(sector)), axis=1))
+            h = np.stack(rows, axis=1)
+            for ring, ball, share in freed:
+                h[:, ring] -= share * h[:, ball]
+            out[sector] = h
         return out
 
-    def _freed(self, h: ComplexArray) -> ComplexArray:
-        """Rows of rings freed of their net force and moment, as in A."""
-        place = {int(i): n for n, i in enumerate(self._others)}
-        for pairs, share in self.system.moved:
-            for ring, ball in pairs.T.tolist():
-                h[:, place[ring]] -= share * h[:, place[ball]]
-        return h
 
+def _work(
+    t: Traction, each: Callable[..., ComplexArray], x: Parity, y: Parity, z: Parity
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Of a traction on those along x, y and z: t_x is t_+ and t_-, t_y is i t_+ and -i t_-."""
 
-_SHIFTS: Mapping[Component, tuple[int, ...]] = MappingProxyType({"z": (0, -1, 1), "+": (-1, -2, 0), "-": (1, 0, 2)})
-
-
-class _Integrals:
-    """Work of the skin's motion under a contact's traction on those under the tape, kept while it is asked for."""
-
-    def __init__(
-        self, tape: Tape, kernels: Sequence[ComplexArray], transform: Mapping[Radial, Numbers], orders: int
-    ) -> None:
-        self.tape, self.kernels, self.transform, self.orders = tape, kernels, transform, orders
-        self.known: dict[tuple[int, Radial, float, float, int, Parity], ComplexArray] = {}
-
-    def of(self, traction: Traction, disc: Disc, parity: Parity) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """With tractions along x, y and z (n_freq, f): t_x is t_+ and t_-, t_y is i t_+ and -i t_-."""
-
-        def each(kernel: int, order: int) -> ComplexArray:
-            return self._one(kernel, traction.radial, disc, order, parity)
-
-        m = traction.m
-        match traction.component:
+    def both(parity: Parity) -> tuple[ComplexArray, ComplexArray]:
+        """On t_+ and on t_-."""
+        match t.component:
             case "z":
-                z, plus, minus = each(0, m), 0.5j * each(1, m - 1), 0.5j * each(1, m + 1)
+                return 0.5j * each(1, t.m - 1, parity=parity), 0.5j * each(1, t.m + 1, parity=parity)
             case "+":
-                z, plus, minus = -0.5j * each(1, m - 1), 0.5 * each(3, m - 2), 0.5 * each(2, m)
+                return 0.5 * each(3, t.m - 2, parity=parity), 0.5 * each(2, t.m, parity=parity)
             case _:
-                z, plus, minus = -0.5j * each(1, m + 1), 0.5 * each(2, m), 0.5 * each(3, m + 2)
-        phase = (-1j) ** abs(m) * (-1.0) ** m
-        return phase * (plus + minus), phase * 1j * (plus - minus), phase * z
+                return 0.5 * each(2, t.m, parity=parity), 0.5 * each(3, t.m + 2, parity=parity)
 
-    def _one(self, kernel: int, radial: Radial, disc: Disc, m: int, parity: Parity) -> ComplexArray:
-        """From the contact's mirror image in the first quadrant."""
-        x, y, sign = round(abs(disc.x), 9), round(abs(disc.y), 9), 1.0
-        if disc.x < 0:
-            sign, m = sign * (-1.0) ** (m + parity[0]), -m
-        if disc.y < 0:
-            sign, m = sign * (-1.0) ** parity[1], -m
-        key = kernel, radial, x, y, m, parity
-        if key not in self.known:
-            weights = _towards(*self.tape._halves, x, y, self.orders)[m, parity]
-            self.known[key] = (self.kernels[kernel] * self.transform[radial]) @ weights[:, self.tape._kept(parity)]
-        return sign * self.known[key]
+    (plus, minus), (left, right) = both(x), both(y)
+    kernel, m, factor = {"z": (0, t.m, 1.0), "+": (1, t.m - 1, -0.5j), "-": (1, t.m + 1, -0.5j)}[t.component]
+    phase = (-1j) ** abs(t.m) * (-1.0) ** t.m
+    return phase * (plus + minus), phase * 1j * (left - right), phase * factor * each(kernel, m, parity=z)
+
+
+@dataclass(frozen=True, eq=False)
+class _Images:
+    """The ``distinct`` mirror images of tractions in the first quadrant, with their places, and of each traction the
+    ``number`` among them; in sectors odd in x or in y its work has the sign of ``odd`` (3, n): of neither, x, y."""
+
+    distinct: tuple[tuple[Traction, float, float], ...]
+    number: IntArray
+    odd: FloatArray
+
+    @classmethod
+    def of(cls, own: Sequence[tuple[Traction, Disc]]) -> Self:
+        """A mirror in x turns order m into -m and t_+ into t_- with the sign of m, that of t_+ and t_- the other way;
+        one in y without these."""
+        found: dict[tuple[Traction, float, float], int] = {}
+        number, odd = [], []
+        for t, disc in own:
+            image, sign = t, 1.0
+            for mirrored, in_x in ((disc.x < 0, True), (disc.y < 0, False)):
+                if mirrored:
+                    sign *= (-1.0) ** image.m * (1.0 if image.component == "z" else -1.0) if in_x else 1.0
+                    swapped: Component = {"z": "z", "+": "-", "-": "+"}[image.component]  # type: ignore[assignment]
+                    image = replace(image, m=-image.m, component=swapped)
+            key = image, round(abs(disc.x), 9), round(abs(disc.y), 9)
+            number.append(found.setdefault(key, len(found)))
+            odd.append([sign, -1.0 if disc.x < 0 else 1.0, -1.0 if disc.y < 0 else 1.0])
+        return cls(tuple(found), np.array(number), np.array(odd).T)
+
+    def sign(self, sector: Parity) -> FloatArray:
+        """Of each traction's work in a sector, relative to its image's (n,)."""
+        return np.asarray(self.odd[0] * self.odd[1] ** sector[0] * self.odd[2] ** sector[1])
