@@ -119,8 +119,8 @@ class LayeredResult:
 
     ``quadrature``, ``truncation`` and ``interpolation`` (n_freq,) are estimated absolute errors over the largest
     |value| at that frequency: of the integrals, of the series of tractions under rigid discs (0 without any), and of
-    what lies between the frequencies that were computed. ``sheet``: of its polynomials. ``n_kernel``: kernel evaluations
-    spent.
+    what lies between the frequencies that were computed; ``sheet`` is of its polynomials. ``n_kernel``: kernel
+    evaluations spent.
     """
 
     values: ComplexArray
