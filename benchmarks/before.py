@@ -30,8 +30,8 @@ from matplotlib.figure import Figure
 
 from bench.tables import record_machine, write_csv
 from forearm_fem.results.files import read_transfer
+from forearm_fem.store.folder import default_cache_dir
 from forearm_fem.transfer import band_error
-from forearm_fem.user_cache import default_cache_dir
 
 HERE = Path(__file__).parent
 _TICKS = (0.005, 0.01, 0.02)

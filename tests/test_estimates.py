@@ -26,8 +26,7 @@ from forearm_fem.geometry.mesh.quality import mean_ratio
 from forearm_fem.questions.run import Run, run_all
 from forearm_fem.results.run import SolutionRecord
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.scenario.elements import FreeUnderside
-from forearm_fem.scenario.tissues import Membrane
+from forearm_fem.scenario.limb import FreeUnderside, Membrane
 from forearm_fem.transfer import Compliance, ErrorEstimate, relative_error, total_error
 from forearm_fem.verification.scenes import block_mesh, flesh
 

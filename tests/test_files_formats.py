@@ -30,8 +30,8 @@ from forearm_fem.files.tables import TableReader
 from forearm_fem.files.wav import read_wav_drives
 from forearm_fem.measurement.calibrate import record
 from forearm_fem.rendering import from_samples_file, ricker
+from forearm_fem.scenario.measurement import parse_unit
 from forearm_fem.transfer import TransferMatrix
-from forearm_fem.units import parse_unit
 
 PORTS = (OUTPUTS, INPUTS)
 FOREIGN = Declaration(

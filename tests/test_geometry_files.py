@@ -24,7 +24,7 @@ from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
 from forearm_fem.geometry.mesh.quality import check_mesh, mesh_quality
 from forearm_fem.geometry.user import volume as tetwild
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.user_cache import default_cache_dir
+from forearm_fem.store.folder import default_cache_dir
 
 SLAB = {
     "limb": {"shape": "slab", "symmetry": ["x", "y"], "length": 0.08, "width": 0.06},

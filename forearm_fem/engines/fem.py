@@ -20,7 +20,7 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario
-from ..scenario.elements import Supports
+from ..scenario.limb import Supports
 from ..scenario.sweep import ReducedSolve
 from ..store.shelf import Shelf
 from ..tissue import resolve_tissues

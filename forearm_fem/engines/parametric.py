@@ -30,13 +30,13 @@ from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
 from ..scenario.limb import tissue_keys
 from ..scenario.sweep import frequencies
+from ..store.folder import default_cache_dir
 from ..store.record import dims
 from ..store.shelf import Shelf
 from ..store.text import digest_of
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray
-from ..user_cache import default_cache_dir
 from .fem import fem_model, masked
 from .skin_model import BEYOND, unfollowed
 from .solved import solve_key

@@ -23,13 +23,13 @@ from ..progress import Progress, tell, within
 from ..results.run import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.limb import SlabLimb
-from ..scenario.shipped import contents, law_files
+from ..scenario.load import contents, law_files
+from ..store.folder import default_cache_dir
 from ..store.record import dims
 from ..store.shelf import Shelf
 from ..store.text import digest_of
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
-from ..user_cache import default_cache_dir
 from .fem import FemSolution, freed_ends, other_ends, reduction_tolerance, second_compliance, solve_fem
 from .forecast import forecast, refuse_if_too_large
 from .second_mesh import second_mesh

@@ -13,9 +13,9 @@ import numpy as np
 
 from ..errors import AccuracyWarning, DataError
 from ..ports import Port
+from ..scenario.measurement import parse_unit, to_displacement
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
-from ..units import parse_unit, to_displacement
 from .declaration import (
     EVERY,
     FOI,

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..contents import stand_in, text_of
 from ..errors import DataError, MissingExtra
 from ..store.folder import refuse_no_file
+from ..store.text import stand_in, text_of
 
 _SNIFFED = 1 << 16  # bytes
 

@@ -18,8 +18,8 @@ import numpy as np
 
 from ..errors import DataError, optional
 from ..measurement.recording import Recording
+from ..scenario.measurement import parse_unit
 from ..typing import FloatArray
-from ..units import parse_unit
 from .arrays import ArrayReader, Hdf5Reader, MatReader, NpzReader
 from .declaration import SWEEPS, Declaration, RawMatrix, declare
 from .reader import Reader

@@ -17,9 +17,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..errors import DataError, optional
-from ..scenario.measurement import Quantity
+from ..scenario.measurement import Quantity, parse_unit
 from ..typing import BoolArray, ComplexArray, FloatArray
-from ..units import parse_unit
 from .declaration import FOI, Declaration, RawMatrix, declare
 from .reader import Reader
 from .reading import RecognitionWarning, reading

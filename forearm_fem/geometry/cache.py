@@ -12,12 +12,10 @@ from typing import Any
 from ..errors import DataError, MeshError
 from ..progress import Progress
 from ..scenario import Scenario, load_scenario
-from ..scenario.elements import MeshOptions
-from ..scenario.limb import MeshLimb, SurfacesLimb
-from ..scenario.shipped import contents, limb_files
-from ..store.folder import write_text
+from ..scenario.limb import MeshLimb, MeshOptions, SurfacesLimb
+from ..scenario.load import contents, limb_files
+from ..store.folder import default_cache_dir, write_text
 from ..store.text import digest_of
-from ..user_cache import default_cache_dir
 from .build import build_mesh
 from .device.layout import RIGID, layout_of
 from .device.sizing import SizeField, element_sizes, refuse_if_too_many, size_growth

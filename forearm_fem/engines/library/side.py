@@ -23,11 +23,11 @@ from ...geometry.cache import cached_mesh
 from ...progress import Progress, tell, within
 from ...scenario import Scenario
 from ...scenario.sweep import frequencies
+from ...store.folder import default_cache_dir
 from ...store.record import dims
 from ...store.shelf import Shelf
 from ...store.text import digest_of
 from ...typing import FloatArray, IntArray
-from ...user_cache import default_cache_dir
 from ..fem import fem_model
 from .limb import modal_compliance
 from .loads import GaussianLoads, bell_functionals

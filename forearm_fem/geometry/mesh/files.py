@@ -16,9 +16,9 @@ import numpy as np
 import pyvista
 from vtkmodules.vtkCommonCore import vtkLogger
 
-from ...contents import stand_in
 from ...errors import MeshError, MissingExtra
 from ...store.folder import atomic_path
+from ...store.text import stand_in
 from ...typing import IntArray
 from .abaqus import read_inp
 from .formats import read_exodus, read_febio, read_nastran, read_unv, read_xdmf

@@ -13,8 +13,8 @@ import numpy as np
 import pyvista
 import trimesh
 
-from ...contents import text_of, whole
 from ...errors import GeometryError
+from ...store.text import text_of, whole
 from ...typing import FloatArray, IntArray
 from ..mesh.files import by_vtk
 

@@ -43,13 +43,11 @@ from ...errors import ScenarioError, first_problem
 from ...rendering.drives import CLEARANCE
 from ...scenario import Scenario, load_scenario, parse_scenario, scenario_beside
 from ...scenario.actuators import ACTUATORS
-from ...scenario.base import Name, Part, Within
-from ...scenario.changes import dotted
+from ...scenario.base import Name, Part, Within, dotted
 from ...scenario.device import HeldHousing
-from ...scenario.load import DOTTED
+from ...scenario.load import DOTTED, read_toml
 from ...scenario.model import for_elements_only
 from ...scenario.rendering import Method
-from ...scenario.shipped import read_toml
 from ...typing import BoolArray, FloatArray
 
 _HOUSING, _THESIS = "device.housing.mass", 12.5e-3  # kg of the thesis' actuator

@@ -32,7 +32,7 @@ from ...rendering.job import RenderJob, check_servable, wavelet
 from ...results.draws import DRAWS_FILE, KEPT, READINGS, DrawsFile, Outcome
 from ...results.files import TransferFile
 from ...scenario import Scenario
-from ...scenario.shipped import code_files, contents, named_files
+from ...scenario.load import code_files, contents, named_files
 from ...scenario.sweep import frequencies
 from ...store.folder import check_kind, set_kind
 from ...store.record import save
