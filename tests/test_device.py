@@ -17,7 +17,7 @@ from forearm_fem.device import (
     propagate_errors,
     respond,
 )
-from forearm_fem.device.response import lever_matrix
+from forearm_fem.device.loop import lever_matrix
 from forearm_fem.errors import ScenarioError
 from forearm_fem.ports import Port
 from forearm_fem.scenario.base import remade

@@ -7,8 +7,8 @@ import pytest
 
 from forearm_fem.accuracy.discretisation import NumericalDispersion, phase_error
 from forearm_fem.device import close_loop
+from forearm_fem.engines.forecast import near_disc_notes
 from forearm_fem.engines.layered import solve_layered
-from forearm_fem.engines.notes import near_disc_notes
 from forearm_fem.engines.simulation import simulate
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.device.place import place_ports

@@ -13,14 +13,12 @@ from typer.testing import CliRunner
 
 from forearm_fem.accuracy.estimates import accuracy_verdict
 from forearm_fem.cli.app import app
-from forearm_fem.engines import second_mesh as module
-from forearm_fem.engines.second_mesh import second_mesh
+from forearm_fem.engines import fem as module
+from forearm_fem.engines.fem import Solved, second_mesh, solve_key
 from forearm_fem.engines.simulation import simulate, with_device
-from forearm_fem.engines.solved import Solved, solve_key
 from forearm_fem.errors import GeometryError, MeshError, SolverError
 from forearm_fem.fem.assembly.coefficients import term_coefficient
-from forearm_fem.geometry.build import build_mesh
-from forearm_fem.geometry.cache import cached_mesh, mesh_key
+from forearm_fem.geometry.build import build_mesh, cached_mesh, mesh_key
 from forearm_fem.geometry.device.sizing import element_sizes
 from forearm_fem.geometry.mesh.quality import mean_ratio
 from forearm_fem.questions.run import Run, run_all

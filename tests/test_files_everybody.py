@@ -215,7 +215,7 @@ def test_one_file_per_actuator_and_nodes_by_a_map(tmp_path):
 
 
 # ---------------------------------------------------------------- arrays
-@pytest.mark.filterwarnings("ignore::forearm_fem.files.reading.RecognitionWarning")
+@pytest.mark.filterwarnings("ignore::forearm_fem.files.declaration.RecognitionWarning")
 def test_arrays_of_numpy_and_hdf5(tmp_path):
     axes = SAID.model_copy(update={"axes": ("frequency", "output", "input")})
     np.savez(tmp_path / "g.npz", G=G.values, frequency=G.frequency, pickled=np.array([{}], dtype=object))

@@ -17,8 +17,7 @@ import pytest
 import trimesh
 
 from forearm_fem.errors import GeometryError, MeshError
-from forearm_fem.geometry.build import build_mesh
-from forearm_fem.geometry.cache import cached_mesh, mesh_key
+from forearm_fem.geometry.build import build_mesh, cached_mesh, mesh_key
 from forearm_fem.geometry.device.place import facet_area, place_ports
 from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
 from forearm_fem.geometry.mesh.quality import check_mesh, mesh_quality
@@ -86,7 +85,7 @@ def test_unreadable_mesh_files_are_named(slab, tmp_path):
 def _cached(tmp_path, **changes):
     scenario = parse_scenario({**SLAB, **changes})
     built: list[str] = []
-    import forearm_fem.geometry.cache as module
+    import forearm_fem.geometry.build as module
 
     original = module.build_mesh
 

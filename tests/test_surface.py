@@ -13,9 +13,9 @@ from cli_runner import cli
 from scenes import shows_itself
 
 from forearm_fem import Law, Simulation, load_scenario, read, render, simulate
+from forearm_fem.engines.fem import FemEngine
 from forearm_fem.engines.layered import LayeredEngine
 from forearm_fem.engines.simulation import Engine
-from forearm_fem.engines.solved import FemEngine
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.laws import SpringPot, Zener
 from forearm_fem.questions.compare.parameters import common_parameters

@@ -24,13 +24,16 @@ from .declaration import (
     PortDeclaration,
     Ports,
     RawMatrix,
+    RecognitionWarning,
     Spectrum,
     axes_by_length,
     declare,
+    placed_by_name,
+    renamed,
+    strange_names,
+    unknown_names,
     unsaid,
 )
-from .naming import placed_by_name, renamed, strange_names, unknown_names
-from .reading import RecognitionWarning
 
 # From a file's content and what is declared of it to G in metres per drive, each entry at its port.
 

@@ -18,8 +18,8 @@ from ..transfer import ErrorEstimate, TransferMatrix, between, error_of_pairs, r
 from ..typing import BoolArray, FloatArray
 from .bridging import with_wider_ends
 from .drives import Renderer
-from .inverse_filter import FixedZeros, SearchedZeros, precomputed_for_targets
-from .rendered import Rendering, strengths
+from .inverse_filter import FixedZeros, SearchedZeros
+from .rendered import Rendering, precomputed_for_targets, strengths
 from .signals import Wavelet, Window, on_record_bins
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Base of all parts of a scenario: frozen, unknown keys refused, every number finite and of a plausible size."""
+"""Parts of a scenario: frozen, checked, changed by dotted key, and what is wrong with one in a sentence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The limb: parametric forearm, slab, cylinder, the user's surfaces or mesh; and a forearm from a tape measure."""
+"""The limb: its shape, also from a tape measure, its tissues, what holds it, and the sizes of its elements."""
 
 from __future__ import annotations
 

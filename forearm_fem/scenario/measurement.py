@@ -1,4 +1,4 @@
-"""Measurement of the transfer matrix: sweep, sensor, channels, averaging and safety."""
+"""Measurement of the transfer matrix: sweep, sensor, channels, averaging and safety, and units of what is measured."""
 
 from __future__ import annotations
 

@@ -164,6 +164,11 @@ class Scenario(Part):
         gaps = (min(math.dist(place, centre) for centre in device.centres) for place in self.grid.places)
         return tuple(str(i) for i, gap in enumerate(gaps, start=1) if gap < reach)
 
+    @property
+    def reduction_tolerance(self) -> float:
+        """e(f) that a reduced model may cost [-]: a hundredth of the accuracy asked for."""
+        return self.accuracy / 100
+
     @model_validator(mode="after")
     def _targets_exist(self) -> Self:
         names = {str(i + 1) for i in range(len(self.grid.places))}

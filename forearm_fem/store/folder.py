@@ -1,4 +1,4 @@
-"""The results folder: files whole or absent, one command at a time, its kind, and ``SHA256SUMS``."""
+"""Folders: the cache of this machine, and results folders with files whole or absent and one command at a time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Text files of ours: JSON objects, tables in Markdown, and digests of plain data."""
+"""Text: JSON objects, Markdown tables and digests of ours; other people's files in any encoding."""
 
 from __future__ import annotations
 

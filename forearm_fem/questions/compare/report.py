@@ -27,8 +27,7 @@ from ...show.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, mi
 from ...store.folder import atomic_path, set_kind, write_text
 from ...typing import BoolArray
 from .agreement import fdac_matrix, percent, where_words
-from .compare import Comparison, comparison_record
-from .crossplay import CrossPlay
+from .compare import Comparison, CrossPlay, comparison_record
 
 FILES = ("comparison.json", "comparison.csv", "comparison.png", "comparison.md", "comparison.html")
 _SIDES = (("A", ACTUATORS[0], "-"), ("B", ACTUATORS[5], "--"))
