@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -28,9 +29,11 @@ from ..typing import FloatArray
 from . import facts
 from .answer import (
     answer_of,
+    asked_of,
     beside_thesis,
     headline,
     interval_words,
+    is_measured,
     method_answers,
     next_steps,
     subject_of,
@@ -154,7 +157,8 @@ def run_page(results: Results, progress: Progress | None = None) -> Page:
         Section("waves", f"Waves towards point {shown_target(data)}", pictures=[*stills, *traces],
                 paragraphs=[_TRACES] if traces else [], bullets=drawn.missing),
         Section("drives", "Drives against limits", facts.renderer_block(results),
-                paragraphs=[facts.limit_words(results)]),
+                paragraphs=[p for p in (facts.limit_words(results), facts.band_words(results)) if p]),
+        *to_play(results, data),
         Section("next", "What to do next", commands=next_steps(results, data)),
         Section("thesis", "Beside the thesis' Table I", thesis, bullets=facts.differences(results) if thesis else (),
                 folded=True),
@@ -171,6 +175,20 @@ def run_page(results: Results, progress: Progress | None = None) -> Page:
     title = f"{results.scenario.name}: {headline(data)}"
     return Page(title, [*answer_of(results, data), trust_of(results, data)], sections, results.stamp,
                 subject_of(results))  # fmt: skip
+
+
+def to_play(results: Results, data: Strengths) -> list[Section]:
+    """What to play on the rig that measured G: the best method's drives, and the others' folded."""
+    if not is_measured(results):
+        return []
+    best, *others = (a.method for a in method_answers(data))
+    line = (f"forearm-fem daq play {asked_of(results)} {shlex.quote(str(results.folder))} --method {shlex.quote(best)} "
+            f"--target {shown_target(data)} --daq ni")  # fmt: skip
+    return [
+        Section("play", f"What to play: {best}", facts.play_block(results, [best]), commands=[("Play it", line)]),
+        *([Section("play-others", "What to play by the other methods", facts.play_block(results, others), folded=True)]
+          if others else []),
+    ]  # fmt: skip
 
 
 class _Drawn:
