@@ -1,4 +1,4 @@
-"""new, schema and doctor."""
+"""new, schema and doctor: a scenario to begin with, what the program accepts, and what this machine offers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ import typer
 
 from .. import __version__
 from ..errors import ScenarioError
-from ..fem.linear.factor import available_backends
 from ..scenario import BODIES, Tape, parse_scenario, scenario_schema, scenario_template
 from ..store.folder import default_cache_dir
 
@@ -84,7 +83,6 @@ def schema() -> None:
 
 def doctor() -> None:
     """Print versions, the solver found, threads, memory, the cache and whether pictures can be rendered."""
-
     for name, value in diagnosis().items():
         typer.echo(f"{name:22} {value}")
 
@@ -100,6 +98,7 @@ _PICTURE = (
 def diagnosis() -> dict[str, str]:
     """Name -> finding; nothing raises, what fails is said."""
     from ..engines.simulation import versions
+    from ..fem.linear.factor import available_backends
 
     found = {"forearm-fem": __version__, **versions()}
     found["direct solvers"] = ", ".join(available_backends())
