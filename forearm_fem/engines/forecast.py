@@ -1,4 +1,4 @@
-"""What is known before a solve: its cost, and notes on the scenario; what a stage took."""
+"""Forecast of a solve, notes on its scenario, and the account of what each stage took."""
 
 from __future__ import annotations
 

@@ -227,7 +227,7 @@ NEEDS = (
 
 
 def unsaid(raw: RawMatrix, said: Declaration, ports: Ports | None) -> str:
-    """All that neither ``raw`` nor ``said`` says, and what would say it, in one sentence; "" where nothing is open."""
+    """Sentence on what neither ``raw`` nor ``said`` says, and what would say it; "" where nothing is open."""
     return asked([need for need in NEEDS if need.is_open(raw, said, ports)])
 
 

@@ -65,7 +65,7 @@ class DaqOptions(Part):
 
 
 class RigOptions(Part):
-    """What a real rig adds to G; nothing by default. Calibrations through a virtual device have it, and predictions
+    """Errors that a real rig adds to G; none by default. Calibrations through a virtual device have it, and predictions
     draw it."""
 
     noise: Annotated[float, Within(1e-12, 1.0, "m/s/sqrt(Hz)", zero=True)] = Field(

@@ -265,7 +265,7 @@ READING = "played"  # what a builder asks for; "reported" is what Table I is com
 
 
 def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
-    """All that is said of a prediction, in plain numbers; quantiles are at ``levels``. NaN becomes None.
+    """A prediction in plain numbers; quantiles are at ``levels``. NaN becomes None.
 
     ``failed`` says of how many arms there is no S, and why; ``numerics`` are e_band of the arms' G and what it leaves
     their S, as a factor to either side.
