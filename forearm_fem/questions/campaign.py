@@ -43,7 +43,7 @@ __all__ = ["Campaign", "CampaignResult", "Member", "MemberResult", "load_campaig
 
 @dataclass(frozen=True)
 class MemberJob:
-    """A member as a worker takes it: plain data, so that it travels to any machine that sees ``folder`` and ``base``."""
+    """A member for a worker: plain data, for any machine that sees ``folder`` and ``base``."""
 
     name: str
     scenario: str
