@@ -40,7 +40,7 @@ from .answer import (
     trust_of,
 )
 from .data import Results
-from .film import plot_wavefield, wavefield
+from .film import Look, plot_wavefield, wavefield
 from .judge import ERRORS, Strengths, plot_strength_map, strengths
 from .motion import View
 from .page import Block, Page, Picture, Section, embedded
@@ -123,6 +123,7 @@ _MEANING = (
     "out. White is 1, orange more, purple less."
 )
 
+_STILL = (1500, 938)  # pixels: as many as the page shows; those of the figure take a second longer
 _TRACES = "The target solid, the other points dotted; each method has a scale of its own."
 
 
@@ -264,5 +265,5 @@ def _figure(results: Results, name: str) -> Picture:
 def _still(results: Results, data: Strengths) -> Picture:
     best = method_answers(data)[0].method
     view = View(best, shown_target(data))
-    drawn = plot_wavefield(wavefield(results, view=view))
+    drawn = plot_wavefield(wavefield(results, view=view, look=Look(size=_STILL)))
     return embedded(drawn, f"The skin at the moment of focus: {best}, {_said(data, best)}")
