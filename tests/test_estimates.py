@@ -51,7 +51,7 @@ def refused(monkeypatch, ratios):
     """Second meshes of these ratios cannot be made."""
     original = module.cached_mesh
 
-    def made(scenario, *, base, scale):
+    def made(scenario, *, base, scale=1.0):
         if scale in ratios:
             raise MeshError("no such mesh; lower mesh.min_quality")
         return original(scenario, base=base, scale=scale)

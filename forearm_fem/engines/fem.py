@@ -31,7 +31,7 @@ from ..geometry.mesh.tissue_mesh import TissueMesh, skin_edges
 from ..progress import Progress, tell, within
 from ..results.run import SolutionRecord
 from ..scenario import Scenario
-from ..scenario.limb import MeshLimb, SlabLimb, Supports
+from ..scenario.limb import MeshLimb, SlabLimb
 from ..scenario.load import contents, law_files
 from ..scenario.sweep import ReducedSolve
 from ..store.folder import default_cache_dir
@@ -156,16 +156,13 @@ def solve_fem(
     return FemSolution(compliance, result, model)
 
 
-def fem_model(
-    scenario: Scenario, mesh: TissueMesh, *, supports: Supports | None = None, motion: Motion | None = None
-) -> ForearmModel:
-    """Operator and ports of ``scenario`` on ``mesh``; ``supports`` replaces the scenario's, ``motion`` adds terms of
-    other thicknesses."""
+def fem_model(scenario: Scenario, mesh: TissueMesh, *, motion: Motion | None = None) -> ForearmModel:
+    """Operator and ports of ``scenario`` on ``mesh``; ``motion`` adds terms of other thicknesses."""
     return build_model(
         mesh,
         place_ports(scenario, mesh),
         resolve_tissues(scenario),
-        supports or scenario.supports,
+        scenario.supports,
         scenario.tissues.membrane,
         element=scenario.element,
         patch=scenario.tissues.patch,

@@ -26,7 +26,6 @@ from ..geometry.mesh.quality import Resolution, nodes_per_wavelength
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..geometry.user.checks import turned_over
 from ..ports import Port
-from ..progress import Progress
 from ..rendering import Record, bridged, on_record_bins
 from ..results.run import SolutionRecord, StageCost
 from ..scenario import Scenario
@@ -126,15 +125,9 @@ class Forecast:
         return (*self.doubts, *few)
 
 
-def forecast(
-    scenario: Scenario,
-    *,
-    base: Path = Path("."),
-    mesh: TissueMesh | None = None,
-    progress: Progress | None = None,
-) -> Forecast:
+def forecast(scenario: Scenario, *, base: Path = Path("."), mesh: TissueMesh | None = None) -> Forecast:
     """Count unknowns on the scenario's mesh (made if need be) and estimate memory and time of the solve."""
-    mesh = mesh or cached_mesh(scenario, base=base, progress=progress)
+    mesh = mesh or cached_mesh(scenario, base=base)
     ports = place_ports(scenario, mesh)
     orders = element_orders(mesh, ports, scenario.element)
     unknowns = 3 * orders.spread.shape[1] + orders.spread_pressures.shape[1]

@@ -55,24 +55,22 @@ _ALONE = ("run", "design", "campaign", "study", "calibration", "prediction")  # 
 
 
 @contextmanager
-def atomic_path(path: str | Path, *, durable: bool = True) -> Iterator[Path]:
+def atomic_path(path: str | Path) -> Iterator[Path]:
     """A path beside ``path`` to write to; it takes ``path``'s place when the block ends without failure.
 
-    Folders are made as needed. ``durable`` data are on the disk before the old file is replaced; a cache that is
-    checked when it is read need not be. After a failure the old file stands and nothing is left beside it. The suffix
-    is kept, for writers that look at it. Raises DataError where the file cannot be written.
+    Folders are made as needed, and data are on the disk before the old file is replaced. After a failure the old file
+    stands and nothing is left beside it. The suffix is kept, for writers that look at it. Raises DataError where the
+    file cannot be written.
     """
     target = Path(path)
     beside = target.with_name(f".{target.stem}-{secrets.token_hex(4)}{target.suffix}")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         yield beside
-        if durable:
-            with beside.open("rb+") as stream:
-                os.fsync(stream.fileno())
+        with beside.open("rb+") as stream:
+            os.fsync(stream.fileno())
         os.replace(beside, target)
-        if durable:
-            _flush_folder(target.parent)
+        _flush_folder(target.parent)
     except OSError as problem:
         raise DataError(f"{target}: cannot be written ({problem.strerror or problem})") from problem
     finally:
@@ -86,13 +84,13 @@ def refuse_no_file(file: Path) -> None:
         raise DataError(f"{file}: {'is a folder, expected a file' if file.is_dir() else 'no such file'}")
 
 
-def write_bytes(path: str | Path, content: bytes, *, durable: bool = True) -> None:
+def write_bytes(path: str | Path, content: bytes) -> None:
     """``content``, whole or not at all.
 
     Libraries write into memory, and the memory goes here: on a full disk HDF5 leaves objects behind that crash the
     process when they are closed.
     """
-    with atomic_path(path, durable=durable) as beside:
+    with atomic_path(path) as beside:
         beside.write_bytes(content)
 
 

@@ -16,9 +16,9 @@ from ..errors import DataError
 from .folder import write_text
 
 
-def write_json(path: str | Path, content: Mapping[str, Any], *, indent: int | None = 2) -> None:
+def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
     """``content`` as JSON, whole or not at all."""
-    write_text(path, json.dumps(dict(content), indent=indent))
+    write_text(path, json.dumps(dict(content), indent=2))
 
 
 def read_json(path: str | Path) -> dict[str, Any]:
