@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ... import __version__
-from ...engines.layered import flat_layers, flat_surface
+from ...engines.layered import flat_layers, flat_membrane
 from ...errors import DataError, ForearmError, ScenarioError
 from ...geometry.device.layout import planform_ports
 from ...layered import Disc, Layer, Surface, layered_compliance
@@ -35,8 +35,8 @@ from ...transfer import TransferMatrix
 from ...typing import ComplexArray, FloatArray
 from ...usercode import is_code
 from .arm import without_bones
-from .draws import LAWS, draw_inputs, is_bare, load_priors, scenario_of
-from .run import Prediction, Question, check_question, expanded, predict
+from .draws import LAWS, draw_inputs, expanded, is_bare, load_priors, scenario_of, taped
+from .run import Prediction, Question, check_question, predict
 from .statistics import (
     LEVELS,
     Draws,
@@ -149,7 +149,7 @@ class Arm:
     @classmethod
     def of(cls, scenario: Scenario) -> Arm:
         """Arm of ``scenario``."""
-        return cls(tuple(flat_layers(scenario)), flat_surface(scenario.tissues))
+        return cls(tuple(flat_layers(scenario)), flat_membrane(scenario.tissues))
 
     def respond(self, frequency: FloatArray, source: Disc, line: Sequence[float] | FloatArray) -> ComplexArray:
         """Displacement per force (n_frequency, 1 + n_line) [m/N] under ``source`` and along x."""
@@ -241,8 +241,9 @@ def validate(
     aims = question.scenario.rendering.targets
     if aims != "all" and set(aims) != {p.name for p in outputs}:
         raise ScenarioError("validate compares with Table I: the scene must aim at the targets 1 to 9")
-    # as the thesis measured: each entry by one sweep
-    question = replace(question, scenario=question.scenario.changed({"measurement.repeats": 1}))
+    # as the thesis measured: each entry by one sweep, on tape
+    scenario = taped(question.scenario.changed({"measurement.repeats": 1}), question.held)
+    question = replace(question, scenario=scenario)
     check_question(question)
     # a G that gives no S is said before minutes of draws
     given = None if measured is None else _strengths_of(measured, question)
