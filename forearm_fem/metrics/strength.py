@@ -146,7 +146,7 @@ class StrengthTable:
         """The table in lines of text, mean or mean ± std, laid out as the thesis' Table I."""
         cells = [
             [
-                strength_text(m) if np.isnan(s) else f"{strength_text(m)} ± {strength_text(s)}"
+                strength_text(m) if np.isnan(s) or s < 0.005 else f"{strength_text(m)} ± {strength_text(s)}"
                 for m, s in zip(ms, ss, strict=True)
             ]
             for ms, ss in zip(self.mean, self.std, strict=True)
