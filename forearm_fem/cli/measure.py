@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -32,6 +33,7 @@ from .common import (
     print_notes,
     refuse_folder,
     run_of,
+    scenario_word,
     scene_of,
     stop_on_ctrl_c,
     there,
@@ -119,7 +121,8 @@ def calibrate(
     if daq != "virtual":
         typer.echo(f"latency of the device: {result.measured.transfer.provenance['latency_basis']}")
     typer.echo(f"G: {result.transfer_file}")
-    typer.echo(f"next: forearm-fem render {result.transfer_file} --scenario {scenario}")
+    again = ["forearm-fem", "render", str(result.transfer_file), "--scenario", scenario_word(scenario)]
+    typer.echo(f"next: {shlex.join(again)}")
 
 
 def _calibrated(
