@@ -111,8 +111,13 @@ def calibrate(
     if daq == "virtual":
         virtual = _virtual(asked, scenario, through, declare, snr, bits, latency, seed, overrides)
     result = _calibrated(asked, folder, daq, virtual, card, cable, ask=daq != "virtual" and not yes)
-    for finding in result.measured.findings:
-        typer.echo(finding.sentence)
+    findings = result.measured.findings
+    for kind in dict.fromkeys(f.kind for f in findings):
+        alike = [f.sentence for f in findings if f.kind == kind]
+        shown = alike if len(alike) <= _MOST_ALIKE else alike[:1]
+        typer.echo("\n".join(shown))
+        if len(shown) < len(alike):
+            typer.echo(f"also {kind}: {', '.join(sentence.partition(':')[0] for sentence in alike[1:])}")
     if said := bias_said(result.measured):
         print_notes([said])
     valid = result.measured.transfer.valid
@@ -320,6 +325,7 @@ def fit(
 
 # convert: any readable G, or raw sweeps, to netCDF, CSV or MATLAB.
 
+_MOST_ALIKE = 3  # findings of one kind that are all printed
 _ENDINGS = (".nc", ".csv", ".mat")
 
 
