@@ -204,11 +204,14 @@ def _in_common(r: Recording, band: BoolArray) -> Iterator[Finding]:
     seen = np.flatnonzero(lines(value, band) > _SEEN * np.abs(value))
     if len(seen):
         some = ", ".join(f"{f:g}" for f in frequency[seen[:3]]) + (", ..." if len(seen) > 3 else "")
+        driven = np.flatnonzero(band)
+        outermost = np.isin(seen, [*driven[:2], *driven[-2:]]).all()
+        edge = " (or a steep response at the edge of the band)" if outermost else ""
         yield Finding(
             "hum",
-            f"{r.label}: a line stands at {some} Hz, as hum does alike in each repeat; it is in the deviation there: "
-            "shield the cables, or change sweep.duration by a quarter of its cycle (5 ms at 50 Hz), which 4 repeats "
-            "average out",
+            f"{r.label}: a line stands at {some} Hz, as hum does alike in each repeat{edge}; it is in the deviation "
+            "there: shield the cables, or change sweep.duration by a quarter of its cycle (5 ms at 50 Hz), which 4 "
+            "repeats average out",
             "warning",
         )
     rise = offset_rise(r.response)
