@@ -57,7 +57,7 @@ export function complianceAt(model, frequency, contacts) {
 }
 
 /**
- * Coils, cones and housing around the skin's compliance: G without another solve. As Python's device/response.py.
+ * Coils, cones and housing around the skin's compliance: G without another solve. As Python's device/loop.py.
  *
  * @typedef {import("./numeric.js").Complex} Complex
  * @typedef {{name: string, position: number[], axis: number[], radius: number, kind: string}} Port
