@@ -116,10 +116,11 @@ class LayeredArm:
     def _between(self, scenario: Scenario, ports: tuple[Port, ...], frequency: FloatArray) -> Compliance:
         """Compliance between ``ports`` on the scenario's layers."""
         contacts, discs = ([flat_disc(port) for port in some] for some in (contacts_of(ports), ports))
-        for orders in self.orders:
+        sheet = flat_sheet(scenario.tissues)
+        for orders in self.orders if sheet is None else self.orders[-1:]:  # tape may reach to the cones' rims
             found = layered_compliance(
                 flat_layers(scenario), 2 * np.pi * frequency, contacts, discs, surface=flat_membrane(scenario.tissues),
-                sheet=flat_sheet(scenario.tissues), tolerance=self.tolerance, terms=self.terms, orders=orders,
+                sheet=sheet, tolerance=self.tolerance, terms=self.terms, orders=orders,
                 degrees=_DEGREES, judged=_JUDGED,
             )  # fmt: skip
             error = found.quadrature + found.interpolation
