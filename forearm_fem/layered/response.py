@@ -19,7 +19,7 @@ from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
 from .discs import UPRIGHT, Disc, Galerkin, changed, galerkin
 from .integrals import LOW_LOSS, Integrals, Medium
 from .kernel import Base, Layer, Surface, check_layers
-from .tape import DEGREES, FEWER, Sheet, Tape
+from .tape import FEWER, Sheet, Tape
 
 # Smooth functions of frequency from few of their values: Chebyshev polynomials in the root of the frequency.
 
@@ -145,7 +145,6 @@ def layered_compliance(
     base: Base = "halfspace",
     surface: Surface | None = None,
     sheet: Sheet | None = None,
-    degrees: int = DEGREES,
     tolerance: float = 1e-6,
     terms: int | None = None,
     orders: int | None = None,
@@ -167,8 +166,7 @@ def layered_compliance(
     Parameters
     ----------
     layers : from the surface down, see :class:`Layer`; ``base`` says what carries the last.
-    surface, sheet : on all of it, and on a rectangle (:mod:`forearm_fem.layered.tape`), by ``degrees`` polynomials
-        along each side.
+    surface, sheet : on all of it, and on a rectangle (:mod:`forearm_fem.layered.tape`).
     omega : (n_freq,) array, > 0 [rad/s], convention e^{+i omega t}.
     tolerance : error of the integrals relative to the largest |value| at each frequency.
     terms, orders : of the tractions under rigid discs; None: as waves, layers and distances ask for. What they
@@ -198,7 +196,7 @@ def layered_compliance(
     asked[np.ix_(rows, columns)] = True
     kinds = tuple(kind for each in system.kinds() if (kind := each & (asked | asked.T)).any()) or (asked | asked.T,)
     integrals = Integrals(medium, system.table, tolerance)
-    tape = None if sheet is None else Tape(sheet, medium, system, tuple(discs), degrees)
+    tape = None if sheet is None else Tape(sheet, medium, system, tuple(discs))
     evaluate = _Evaluation(integrals, system, kinds, (rows, columns), judged, expected, progress, tape)
     sharp = bool(np.any(medium.loss(omega) < LOW_LOSS))  # poles near the axis: nothing smooth to follow
     found = (*evaluate(omega), np.zeros(omega.size)) if sharp else sampled(evaluate, omega, tolerance)

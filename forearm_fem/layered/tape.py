@@ -32,10 +32,10 @@ from .kernel import surface_compliance
 # Integrals over directions depend on places alone and are kept; over k the kernel is interpolated on panels, as in
 # :mod:`.integrals`. Parity in x and in y parts C in four. Contacts may stand on the sheet.
 
-DEGREES = 16  # polynomials along each side
+DEGREES = 14  # polynomials along each side
 FEWER = 2  # polynomials less show what is left out
-_FIRST, _RATIO, _WIDEST, _END = 16.0, 0.25, 512.0, 2.0**13  # [1/m] first panel, others' width over k, widest, end
-_NODES = 8  # of a panel
+_FIRST, _RATIO, _WIDEST, _END = 8.0, 0.2, 512.0, 2.0**13  # [1/m] first panel, others' width over k, widest, end
+_NODES = 10  # of a panel
 _X, _W = legendre.leggauss(_NODES)
 Parity = tuple[int, int]
 _SECTORS: tuple[Parity, ...] = ((0, 0), (1, 0), (0, 1), (1, 1))  # of motion along z in x and in y
@@ -124,7 +124,7 @@ def _rays(panel: tuple[float, float], a: float, b: float, extent: float, orders:
     return _Rays(k, share, phi, 0.5 * np.pi / n / (4 * np.pi**2), shapes)
 
 
-@lru_cache(maxsize=1)  # some 200 MB
+@lru_cache(maxsize=1)  # some 150 MB
 def _under(a: float, b: float) -> Mapping[Key, FloatArray]:
     """Weights (nodes of all panels, f, f) of kernels k U for the skin's compliance between tractions; the last of them
     is that of its limit beyond, where integrands fall as (c log k + d)/k^2 but for oscillations: from two octaves."""
@@ -161,7 +161,7 @@ def _kept(parity: Parity, count: int) -> BoolArray:
     return np.asarray((p < count) & (q < count))
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=3)
 def _fewer_under(a: float, b: float, count: int) -> Mapping[Key, FloatArray]:
     """:func:`_under` of degrees below ``count``."""
     found = {key: w[:, _kept(key[0], count)][:, :, _kept(key[1], count)] for key, w in _under(a, b).items()}
