@@ -20,7 +20,7 @@ from forearm_fem.fem.reduction.parametric_greedy import Growing, Growth, TrialSo
 from forearm_fem.fem.reduction.per_query_basis import Summed, _solved, quick_compliance, spanned
 from forearm_fem.fem.reduction.rational import chebyshev_frequencies, rational
 from forearm_fem.fem.reduction.sweep import direct_sweep
-from forearm_fem.geometry.cache import cached_mesh
+from forearm_fem.geometry.build import cached_mesh
 from forearm_fem.geometry.device.place import GridPlaces
 from forearm_fem.questions.compare.fit import fit
 from forearm_fem.questions.compare.parameters import (

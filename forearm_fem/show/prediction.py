@@ -138,7 +138,7 @@ _WIDE = 1.1  # factor of S, by errors of the arms' own G, from which on the repo
 def write_prediction(folder: str | Path, data: Mapping[str, Any]) -> tuple[Path, Path]:
     """``prediction.html`` (self-contained) and ``prediction.md`` of ``data``, and ``figures/`` with their numbers.
 
-    ``data`` is what :func:`forearm_fem.questions.predict.summary.summary` makes. Returns the paths of the two.
+    ``data`` is what :func:`forearm_fem.questions.predict.statistics.summary` makes. Returns the paths of the two.
     """
     out = Path(folder)
     stamp = f"scene {data['scenario']['name']} · {data['draws']} arms, {data['model']} · forearm_fem {data['program']}"

@@ -22,14 +22,13 @@ from ...metrics.common_ground import CommonGround
 from ...metrics.strength import strength_text
 from ...ports import positions
 from ...rendering.drives import counted_points, not_counted_words
-from ...scenario.shipped import shipped_scenarios
+from ...scenario.load import shipped_scenarios
 from ...show.page import Block, Page, Section, embedded
 from ...show.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, micro, panels, sign, single, styled
 from ...store.folder import atomic_path, set_kind, write_text
 from ...typing import BoolArray
 from .agreement import fdac_matrix, percent, where_words
-from .compare import Comparison, comparison_record
-from .crossplay import CrossPlay
+from .compare import Comparison, CrossPlay, comparison_record
 
 FILES = ("comparison.json", "comparison.csv", "comparison.png", "comparison.md", "comparison.html")
 _SIDES = (("A", ACTUATORS[0], "-"), ("B", ACTUATORS[5], "--"))
