@@ -19,8 +19,9 @@ from ...engines.layered import (
     contacts_of,
     flat_disc,
     flat_layers,
+    flat_membrane,
     flat_ports,
-    flat_surface,
+    flat_sheet,
 )
 from ...engines.parametric import ParametricModel, parametric_model, reciprocal
 from ...errors import ForearmError, ScenarioError
@@ -39,6 +40,7 @@ from .draws import FASCIA, has_fascia
 # A third of the time of the layered model's own; what it costs is stated per draw
 _TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)
 _JUDGED = 6  # every so many frequencies the series are judged
+_DEGREES = 14  # polynomials of tape
 _OF_CHANGE = (1e-2, 3)  # tolerance and terms for what geometry changes: 5e-5 of it apart, in two thirds of the time
 _ALONE, _FAR, _SCATTERED = (1,), 0.5, 0.06  # orders of a change, up to which nearness, and what they leave out of it
 _ENOUGH = 0.1  # e(f): where fewer orders say more (a point near a cone, little loss), more are taken
@@ -48,7 +50,6 @@ _BETWEEN = 2  # times as much it may miss elsewhere: at single frequencies twice
 _OTHERS = 6  # answers as wrong as geometry may make one
 _SMOOTH = 50.0  # Hz over which what geometry misses is alike, as for other errors of S (decision 0027)
 _MISSED = 0.5  # of the change by geometry that the layered model may be wrong by
-_GEOMETRY = ("thickness", "placement", "contact area")
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,13 +118,15 @@ class LayeredArm:
         contacts, discs = ([flat_disc(port) for port in some] for some in (contacts_of(ports), ports))
         for orders in self.orders:
             found = layered_compliance(
-                flat_layers(scenario), 2 * np.pi * frequency, contacts, discs, surface=flat_surface(scenario.tissues),
-                tolerance=self.tolerance, terms=self.terms, orders=orders, judged=_JUDGED,
+                flat_layers(scenario), 2 * np.pi * frequency, contacts, discs, surface=flat_membrane(scenario.tissues),
+                sheet=flat_sheet(scenario.tissues), tolerance=self.tolerance, terms=self.terms, orders=orders,
+                degrees=_DEGREES, judged=_JUDGED,
             )  # fmt: skip
             error = found.quadrature + found.interpolation
             error = np.asarray(error if self.orders == _ALONE else error + found.truncation)
             if error.max() <= _ENOUGH:
                 break
+        error = error + found.sheet
         estimate = quadrature_estimate(
             frequency, error,
             "the layered model's own control, with fewer terms than it takes for a scene",
@@ -166,8 +169,7 @@ class ReducedArm:
     Layers of other thicknesses stretch with the mesh, and its skin can be read anywhere: a draw's grid is read where it
     lies, if that is within millimetres of the scene's. What the contact radius changes, or thicknesses and a grid
     beyond what the model was made for, is the difference of two answers of the layered model for the draw's tissues,
-    and stated to be wrong by up to half of itself. A scene
-    with tape on the skin, which the layered model has not, holds all of these. ``meshes`` tell what the elements err by
+    and stated to be wrong by up to half of itself. ``meshes`` tell what the elements err by
     for each draw; where there are none, ``without`` says why.
     """
 
@@ -188,9 +190,8 @@ class ReducedArm:
 
     @property
     def held(self) -> frozenset[str]:
-        """See :class:`LayeredArm`: nothing, or all geometry where the layered model cannot say what it changes."""
-        fascia = () if has_fascia(self.scenario) else (FASCIA,)
-        return frozenset((*fascia, *(_GEOMETRY if self.scenario.tissues.patch.is_on else ())))
+        """See :class:`LayeredArm`: no fascia that the scene has not."""
+        return frozenset(() if has_fascia(self.scenario) else (FASCIA,))
 
     @property
     def left_out(self) -> str:
