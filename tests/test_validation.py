@@ -16,10 +16,18 @@ from forearm_fem.laws import KelvinVoigt
 from forearm_fem.layered import Layer, Surface
 from forearm_fem.metrics import thesis_table
 from forearm_fem.questions.predict import validate as module
-from forearm_fem.questions.predict.published import SHAH_ARMS, TARGETS, Arm, Target, fat_of, motor_ratios, observables
 from forearm_fem.questions.predict.run import Question
 from forearm_fem.questions.predict.statistics import Draws, group_deviations, log_score
-from forearm_fem.questions.predict.validate import validate
+from forearm_fem.questions.predict.validate import (
+    SHAH_ARMS,
+    TARGETS,
+    Arm,
+    Target,
+    fat_of,
+    motor_ratios,
+    observables,
+    validate,
+)
 from forearm_fem.results.files import write_transfer
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show.page import Page
