@@ -164,7 +164,7 @@ def test_few_arms_say_nothing_of_a_joint_distance_and_no_band_of_a_law() -> None
     assert enough["zener"]["distance"] is None
 
 
-STILL = ("laser aim", "laser direction", "device slip", "device slip, turn")  # points of their own cost most
+STILL = ("laser aim", "laser direction", "device slip", "device slip, turn", "tape")  # these cost most
 
 
 @pytest.fixture(scope="module")
