@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -146,8 +147,9 @@ class Galerkin:
 
     Truncation error: what the last axisymmetric term changes, times terms/2, as the rim's singularity may make
     convergence a power of -2. Of the other series, geometric ones: what their last terms change, times their fall over
-    the last two. Of azimuthal orders the sum of the geometric series that the changes by the last two begin, or that
-    falls as a bound on them says where that is less."""
+    the last two. Of azimuthal orders the sum of a geometric series that falls as distances and waves say
+    (:func:`decay_of`), or as the slower of the last two falls where that is less; it begins with the root mean square
+    of the last two changes, as one alone may vanish where a point lies."""
 
     table: HankelTable
     place: IntArray
@@ -183,7 +185,7 @@ class Galerkin:
         return (self.rings, 1.0), (self.moments, 1.5)
 
     def compliance(
-        self, integrals: ComplexArray, kinds: Sequence[BoolArray], judged: BoolArray
+        self, integrals: ComplexArray, kinds: Sequence[BoolArray], judged: BoolArray, decay: FloatArray
     ) -> tuple[ComplexArray, FloatArray]:
         """Ports' displacement per force (n_freq, ports, ports) [m/N], and its truncation error by the series (n_freq,)
         where ``judged`` (n_freq,).
@@ -194,7 +196,7 @@ class Galerkin:
         out, lacking = np.empty((len(a), n, n), dtype=complex), np.zeros(len(a))
         if judged.any():
             by_order = self.by_order(a[judged])[1]
-            out[judged], lacking[judged] = by_order[-1], self.lacking(a[judged], by_order, kinds)
+            out[judged], lacking[judged] = by_order[-1], self.lacking(a[judged], by_order, kinds, decay[judged])
         if not judged.all():
             out[~judged] = self._alone(_without_last(a[~judged], n))
         return out, lacking
@@ -221,8 +223,7 @@ class Galerkin:
         a: ComplexArray,
         by_order: Sequence[ComplexArray],
         kinds: Sequence[BoolArray],
-        *,
-        decay: FloatArray | float = 0.9,
+        decay: FloatArray,
     ) -> FloatArray:
         """Truncation error (n_freq,) of C, ``by_order`` of :meth:`by_order`, by the tractions that A leaves out.
 
@@ -245,8 +246,11 @@ class Galerkin:
         if top == 1:
             return lacking + step
         before = changed(by_order[-2], by_order[-3], kinds)
-        ratio = np.minimum(decay, step / np.maximum(before, 1e-300))
-        return np.asarray(lacking + step * ratio / (1 - ratio))
+        if top > 2:  # slower of the last two falls
+            earlier = changed(by_order[-3], by_order[-4], kinds)
+            falls = [x / np.maximum(y, 1e-300) for x, y in ((step, before), (before, earlier))]
+            decay = np.minimum(decay, np.maximum(*falls))
+        return np.asarray(lacking + np.hypot(step, decay * before) / np.sqrt(2) * decay / (1 - decay))
 
     def _without(self, a: ComplexArray, left_out: BoolArray) -> ComplexArray:
         """C from A without the tractions ``left_out`` (n,)."""
@@ -302,6 +306,21 @@ def changed(more: ComplexArray, less: ComplexArray, kinds: Sequence[BoolArray]) 
     """Largest change over the largest value, per frequency (n_freq,), of the kind of entries where that is most."""
     each = [np.abs(more - less)[:, kind].max(axis=1) / np.abs(more)[:, kind].max(axis=1) for kind in kinds]
     return np.asarray(np.max(each, axis=0))
+
+
+def decay_of(discs: Sequence[Disc], waves: FloatArray, orders: int) -> FloatArray:
+    """Ratio (n_freq,) by which what azimuthal orders above ``orders`` scatter falls, at wavenumbers ``waves`` [1/m].
+
+    A field from a distance d is about a disc of radius a a series in (a/d)^l, where waves are short in J_l(ka), whose
+    ratio is below ka/(2 l + 2); what it calls forth falls to a point r away by a/r more.
+    """
+    ratio, reach = np.zeros(len(waves)), 0.0
+    for disc in (disc for disc in discs if disc.rigid):
+        away = [(math.hypot(disc.x - b.x, disc.y - b.y), b.radius > 0) for b in discs if b is not disc]
+        nearest = min((d for d, driven in away if driven), default=math.inf)
+        ratio = np.maximum(ratio, np.maximum(disc.radius / nearest, disc.radius * waves / (2 * orders + 2)))
+        reach = max(reach, disc.radius / min((d for d, _ in away), default=math.inf))
+    return np.asarray(np.clip(ratio * reach, 0.0, 0.9))
 
 
 def galerkin(
