@@ -26,13 +26,12 @@ from ..typing import ComplexArray, FloatArray
 # Error estimates: made of e(f), and held against the accuracy asked for.
 
 
-def quadrature_estimate(
-    frequency: FloatArray, error: FloatArray, values: ComplexArray, method: str
-) -> ErrorEstimate:
-    """Error of the layered model's integrals and series: e(f) ``error`` (n,) of ``values`` (n, p, p) at ``frequency``
-    (n,) [Hz]; NaN values do not count."""
-    size = np.nanmax(np.abs(values), axis=(1, 2))
-    return _weighed("quadrature", error, size, tuple(frequency.tolist()), method)
+def quadrature_estimate(frequency: FloatArray, error: FloatArray, method: str) -> ErrorEstimate:
+    """Error of the layered model's integrals and series: e(f) ``error`` (n,) at ``frequency`` (n,) [Hz].
+
+    Its band value is the largest, as these errors are alike over the band.
+    """
+    return ErrorEstimate("quadrature", float(error.max()), method, tuple(frequency.tolist()), tuple(error.tolist()))
 
 
 def accuracy_verdict(scenario: Scenario, errors: tuple[ErrorEstimate, ...]) -> str:

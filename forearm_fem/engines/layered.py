@@ -75,7 +75,7 @@ def solve_layered(scenario: Scenario, frequency: FloatArray, *, progress: Progre
     integrals = (result.quadrature + result.interpolation) * _over_points(values, ports)
     error = np.asarray(result.truncation + integrals)
     estimate = quadrature_estimate(
-        frequency, error, values,
+        frequency, error,
         "Hankel quadrature's own control and the last coefficients between frequencies, relative to the largest entry "
         "of points, and the last terms and orders of the tractions under rigid discs, relative to the largest entry",
     )  # fmt: skip

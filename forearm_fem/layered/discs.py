@@ -312,15 +312,14 @@ def decay_of(discs: Sequence[Disc], waves: FloatArray, orders: int) -> FloatArra
     """Ratio (n_freq,) by which what azimuthal orders above ``orders`` scatter falls, at wavenumbers ``waves`` [1/m].
 
     A field from a distance d is about a disc of radius a a series in (a/d)^l, where waves are short in J_l(ka), whose
-    ratio is below ka/(2 l + 2); what it calls forth falls to a point r away by a/r more.
+    ratio is below ka/(2 l + 2).
     """
-    ratio, reach = np.zeros(len(waves)), 0.0
+    ratio = np.zeros(len(waves))
     for disc in (disc for disc in discs if disc.rigid):
-        away = [(math.hypot(disc.x - b.x, disc.y - b.y), b.radius > 0) for b in discs if b is not disc]
-        nearest = min((d for d, driven in away if driven), default=math.inf)
-        ratio = np.maximum(ratio, np.maximum(disc.radius / nearest, disc.radius * waves / (2 * orders + 2)))
-        reach = max(reach, disc.radius / min((d for d, _ in away), default=math.inf))
-    return np.asarray(np.clip(ratio * reach, 0.0, 0.9))
+        away = (math.hypot(disc.x - b.x, disc.y - b.y) for b in discs if b is not disc and b.radius > 0)
+        nearest = disc.radius / min(away, default=math.inf)
+        ratio = np.maximum(ratio, np.maximum(nearest, disc.radius * waves / (2 * orders + 2)))
+    return np.minimum(ratio, 0.9)
 
 
 def galerkin(

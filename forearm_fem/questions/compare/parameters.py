@@ -189,10 +189,10 @@ class LayeredBetween:
             surface=flat_surface(scenario.tissues), tolerance=self.tolerance, terms=_TERMS,
             orders=max(scattered_orders(discs) - _FEWER, 0),
         )  # fmt: skip
-        values = between_ports(result.values, ports)
         estimate = quadrature_estimate(
-            frequency, result.error, values, "last terms and orders of the tractions under rigid discs, quadrature"
+            frequency, result.error, "last terms and orders of the tractions under rigid discs, quadrature"
         )
+        values = between_ports(result.values, ports)
         return Compliance(frequency, values, ports, (estimate,), provenance={"engine": "layered"})
 
 

@@ -57,8 +57,9 @@ class TabulatedArm:
         reach = tables_reach(float(np.ptp(places, axis=0).max() * np.sqrt(2)))
         table = kept_tables(scenario, reach, folder=self._folder, progress=self._progress, known=self._known)
         result = table.compliance(omega, [flat_disc(port) for port in ports])
+        e = result.error
         estimate = quadrature_estimate(
-            frequency, result.error, result.values,
+            frequency, e,
             "twice the tables' difference from the layered model itself on one arrangement, the last coefficients "
             "between frequencies, and the last terms and orders of the tractions under rigid discs",
         )  # fmt: skip

@@ -124,12 +124,11 @@ class LayeredArm:
             error = np.asarray(error if self.orders == _ALONE else error + found.truncation)
             if error.max() <= _ENOUGH:
                 break
-        values = between_ports(found.values, ports)
         estimate = quadrature_estimate(
-            frequency, error, values,
+            frequency, error,
             "the layered model's own control, with fewer terms than it takes for a scene",
         )  # fmt: skip
-        return Compliance(frequency, values, ports, (estimate,))
+        return Compliance(frequency, between_ports(found.values, ports), ports, (estimate,))
 
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
         """The same with what it may be as well: its errors are noise."""
