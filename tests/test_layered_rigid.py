@@ -324,7 +324,7 @@ def test_an_azimuthal_order_that_vanishes_at_a_point_hides_no_error():
     radius, half = 5.783e-3, 16.144e-3
     cones = [Disc(x, y, radius, "frictionless") for x in (-half, half) for y in (-half, half)]
     points, omega = [Disc(18.192e-3, 10.344e-3), Disc(0.0, 0.0)], 2 * np.pi * np.array([80.0, 200.0])
-    body = [Layer(math.inf, 1060.0, lambda w: 10e3 + 4j * w)]
+    body = [Layer(math.inf, 1060.0, lambda w: np.asarray(10e3 + 4j * w, dtype=complex))]
     found, truth = (layered_compliance(body, omega, cones, points, orders=orders) for orders in (None, 9))
     off, size = (np.abs(x).max(axis=(1, 2)) for x in (found.values - truth.values, truth.values))
     assert (found.truncation > 0.5 * off / size).all()
