@@ -262,12 +262,13 @@ def interval(
 
 
 def as_drawn(error: ErrorEstimate, frequency: FloatArray) -> ErrorEstimate:
-    """The estimate by two meshes at ``frequency`` (n,) [Hz]: e(f) raised to its band value, as they agree by chance,
-    and all of it over 1 + 4 e_band.
+    """The estimate by two meshes at ``frequency`` (n,) [Hz]: e(f) raised to its band value, as they agree by chance;
+    where it tells what entries do together, all of it over 1 + 4 e_band.
 
     Where the two differ much, the coarser one carries no waves: what is stated is then 2.3 to 4.2 times the error.
     """
-    share, own = 1 / (1 + _LOST * error.band), relative_error_at(error, frequency)
+    share = 1.0 if error.together is None else 1 / (1 + _LOST * error.band)
+    own = relative_error_at(error, frequency)
     size = np.maximum(own, error.band)
     pairs = error_of_pairs(error, frequency)
     if pairs is not None:
