@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Literal
 
@@ -245,12 +246,10 @@ class Galerkin:
         step = changed(whole, by_order[-2], kinds)
         if top == 1:
             return lacking + step
-        before = changed(by_order[-2], by_order[-3], kinds)
-        if top > 2:  # slower of the last two falls
-            earlier = changed(by_order[-3], by_order[-4], kinds)
-            falls = [x / np.maximum(y, 1e-300) for x, y in ((step, before), (before, earlier))]
-            decay = np.minimum(decay, np.maximum(*falls))
-        return np.asarray(lacking + np.hypot(step, decay * before) / np.sqrt(2) * decay / (1 - decay))
+        steps = [step, *(changed(by_order[-i], by_order[-i - 1], kinds) for i in range(2, min(top, 3) + 1))]
+        falls = [later / np.maximum(earlier, 1e-300) for later, earlier in pairwise(steps)]
+        decay = np.minimum(decay, np.max(falls, axis=0))
+        return np.asarray(lacking + np.hypot(step, decay * steps[1]) / np.sqrt(2) * decay / (1 - decay))
 
     def _without(self, a: ComplexArray, left_out: BoolArray) -> ComplexArray:
         """C from A without the tractions ``left_out`` (n,)."""
