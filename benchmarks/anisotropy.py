@@ -1,6 +1,6 @@
 """What fibres along the limb do to S: an operator with a shear stiffness of its own along x, on a slab.
 
-    python3 benchmarks/anisotropy.py
+    python3 benchmarks/anisotropy.py [default|lean]
 
 Transversely isotropic and incompressible: mu_across as it is, and (mu_along - mu_across) times the squares of both
 shears that hold x. Muscle has 5.8 and 1.9 kPa along and across (PMC8754054), skin 24.9 and 13.6 (ultrasound of 40 MHz,
@@ -9,6 +9,7 @@ five people); here the ratios count, about the isotropic modulus as geometric me
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -40,6 +41,14 @@ SCENE = {
     "mesh": {"element": "P2", "size_grid": 3.5e-3, "size_contact": 2.3e-3, "size_far": 1e-2},
     "rendering": {"window": [-0.03, 0.02]},
 }
+LEAN = {
+    "limb": {
+        **SCENE["limb"], "length": 0.11, "width": 0.1, "depth": 0.025,
+        "layers": [{"tissue": "skin", "thickness": 1.5e-3}, {"tissue": "fat", "thickness": 1e-3}],
+    },
+    "mesh": {"element": "P2", "size_grid": 5.5e-3, "size_contact": 3.5e-3, "size_far": 1.4e-2},
+}  # fmt: skip
+STACKS = {"default": SCENE, "lean": {**SCENE, **LEAN}}  # the same fibres on another arm, and a coarser mesh
 
 
 def along_fibres(metric: FloatArray) -> FloatArray:
@@ -104,7 +113,7 @@ def strength(scenario: Scenario, build: object) -> FloatArray:
 def main() -> None:
     """The table."""
     assert assembly.build_model is build_model
-    scenario = parse_scenario(SCENE)
+    scenario = parse_scenario(STACKS[(sys.argv[1:] or ["default"])[0]])
     print("| fibres | middle | edges | corners |\n| --- | --- | --- | --- |")
     for name, build in (("none", build_model), *((t, with_fibres(t)) for t in RATIOS)):
         s = strength(scenario, build)

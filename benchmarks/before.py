@@ -1,20 +1,23 @@
-"""Whole runs of the thesis' scene before and now, against their error: before.csv and before.png.
+"""Speed against stated and against true error, before and now: before-SCENE.csv and before-SCENE.png.
 
     git worktree add OLD VERSION
-    python benchmarks/before.py OLD [--accuracies 0.1 0.05 0.025] [--out FOLDER]
+    python benchmarks/before.py OLD [--scene thesis quick slab] [--accuracies 0.1 0.05 0.025] [--out FOLDER]
 
-Each version runs ``forearm-fem run thesis`` as a process of its own from an empty cache, with kernels compiled by a run
-of ``quick`` that is not timed, one version after the other in one hour. The machine must be idle, and the packages
-installed must serve both. Errors are e_band of G against this version's run at the finest accuracy, whose own error is
-in ``overkill.csv``, as the root of the sum of both squares. Memory is what the largest process holds, looked at five
-times a second. One run each: machines vary by some per cent.
+Each version runs ``forearm-fem run`` as a process of its own from an empty cache, with kernels compiled by a run that
+is not timed, one version after the other at each accuracy. Wall seconds mean something on an idle machine only,
+processor seconds with one thread on any. Sizes follow from the accuracy: that of ``quick`` are left out. The truth of
+the ``slab``, a quarter with one disc, is the layered model's; that of the others is this version's run at the finest
+accuracy, whose own stated error is added by squares. Memory is what the largest process holds, looked at five times a
+second.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
+import json
+import math
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -28,66 +31,110 @@ import numpy as np
 import psutil
 from matplotlib.figure import Figure
 
+from bench.scene import BAND, exact
 from bench.tables import record_machine, write_csv
-from forearm_fem.results.files import read_transfer
+from forearm_fem.results.files import read_compliance
 from forearm_fem.transfer import band_error
 from forearm_fem.user_cache import default_cache_dir
 
 HERE = Path(__file__).parent
-_TICKS = (0.005, 0.01, 0.02)
 _PAUSE = 0.2  # s between two looks at the memory
+_SLAB = """name = "slab"  # as bench.scene.quarter has it
+[limb]
+shape = "slab"
+length = 0.16
+width = 0.16
+depth = 0.08
+symmetry = ["x", "y"]
+layers = [{ tissue = "skin", thickness = 0.0012 }, { tissue = "fat", thickness = 0.003 }]
+[device]
+contacts = [[0.0, 0.0]]
+[device.cone]
+contact = "pressure"
+[grid]
+points = [[0.0, 0.0], [0.01, 0.0], [0.02, 0.0]]
+[rendering]
+methods = []
+[sweep]
+"""
 
 
 def main() -> None:
     """Run, compare, write and draw."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("old", type=Path, help="a checkout of the earlier version")
+    parser.add_argument("--scene", choices=("thesis", "quick", "slab"), nargs="+", default=["quick", "slab"])
     parser.add_argument("--accuracies", type=float, nargs="+", default=[0.1, 0.05, 0.025])
     parser.add_argument("--out", type=Path, default=HERE / "results")
     asked = parser.parse_args()
     record_machine(asked.out, "before")
-    rows, found = list[dict[str, Any]](), dict[tuple[str, float], np.ndarray[Any, Any]]()
+    homes = HERE.parent, asked.old.resolve()
     with tempfile.TemporaryDirectory() as folder:
-        for home in (HERE.parent, asked.old.resolve()):
-            timed(home, "quick", None, Path(folder))
+        for home in homes:
+            timed(home, HERE.parent / "scenarios" / "quick.toml", 0.3, Path(folder))
+        for name in asked.scene:
+            scene, rows, found = written(name, Path(folder)), list[dict[str, Any]](), list[np.ndarray[Any, Any]]()
             for accuracy in sorted(asked.accuracies, reverse=True):
-                row, values = timed(home, "thesis", accuracy, Path(folder))
-                found[row["version"], accuracy] = values
-                rows.append(row)
-                print(row, flush=True)
-    now, finest = rows[0]["version"], min(asked.accuracies)
-    for row in rows:
-        apart = band_error(found[row["version"], row["accuracy"]], found[now, finest])
-        row["error"] = f"{np.hypot(apart, own_error()):.3g}"
-    write_csv(asked.out / "before.csv", rows)
-    drawn(rows).savefig(asked.out / "before.png", dpi=150)
+                for home in homes:
+                    row, values = timed(home, scene, accuracy, Path(folder))
+                    rows.append(row)
+                    found.append(values)
+                    print(name, row, flush=True)
+            own = float(rows[-2]["stated"])
+            for row, values in zip(rows, found, strict=True):
+                row["true"] = f"{true_error(name, values, found[-2], own):.3g}"
+            write_csv(asked.out / f"before-{name}.csv", rows)
+            drawn(rows).savefig(asked.out / f"before-{name}.png", dpi=150)
 
 
-def timed(home: Path, scene: str, accuracy: float | None, folder: Path) -> tuple[dict[str, Any], Any]:
-    """One run of the version at ``home`` in a process of its own: its row, and its G."""
+def written(name: str, folder: Path) -> Path:
+    """The scene without mesh sizes, as a file of this name that both versions read."""
+    file = folder / f"{name}.toml"
+    if name == "slab":
+        file.write_text(f"{_SLAB}frequencies = {BAND.tolist()}\n", encoding="utf-8")
+        return file
+    text = (HERE.parent / "scenarios" / f"{name}.toml").read_text(encoding="utf-8")
+    tables = [part for part in text.split("\n\n") if not part.startswith("[mesh]")]
+    kept = [line for line in "\n\n".join(tables).splitlines() if not line.startswith("schema_version")]
+    file.write_text("\n".join(kept) + "\n", encoding="utf-8")
+    return file
+
+
+def timed(home: Path, scene: Path, accuracy: float, folder: Path) -> tuple[dict[str, Any], Any]:
+    """One run of the version at ``home`` in a process of its own: its row, and the compliance of points."""
     out, cache = folder / "run", folder / "cache"
     for left in (out, cache):
         shutil.rmtree(left, ignore_errors=True)
-    command = [sys.executable, "-m", "forearm_fem", "run", f"scenarios/{scene}.toml", "--out", str(out)]
-    command += [] if accuracy is None else ["--set", f"accuracy={accuracy}"]
+    command = [sys.executable, "-m", "forearm_fem", "run", str(scene), "--out", str(out)]
+    command += ["--set", f"accuracy={accuracy}"]
     environment = {**os.environ, "PYTHONPATH": str(home), "FOREARM_FEM_CACHE": str(cache)}
     environment["NUMBA_CACHE_DIR"] = str(default_cache_dir() / "kernels")  # compiled once, for all runs
-    began, most = time.perf_counter(), 0
-    running = subprocess.Popen(
-        command, cwd=home, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+    began, most, spent = time.perf_counter(), 0, processor_seconds()
+    running = subprocess.Popen(command, cwd=home, env=environment, stdout=subprocess.DEVNULL)
     process = psutil.Process(running.pid)
     while running.poll() is None:
         with suppress(psutil.NoSuchProcess):
             most = max([most, *(p.memory_info().rss for p in (process, *process.children(recursive=True)))])
         time.sleep(_PAUSE)
+    seconds = time.perf_counter() - began
     if running.returncode:
         raise SystemExit(f"{home}: the run ended with code {running.returncode}")
+    run = json.loads((out / "run.json").read_text(encoding="utf-8"))
     row = {
-        "version": version_of(home), "accuracy": accuracy, "seconds": f"{time.perf_counter() - began:.1f}",
-        "peak_gb": f"{most / 1e9:.2f}",
+        "version": version_of(home), "accuracy": accuracy,
+        "unknowns": run["solution"]["displacement_unknowns"] + run["solution"]["pressure_unknowns"],
+        "seconds": f"{seconds:.1f}", "processor_seconds": f"{processor_seconds() - spent:.1f}",
+        "peak_gb": f"{most / 1e9:.2f}", "stated": f"{math.hypot(*(e['band'] for e in run['errors'])):.3g}",
     }  # fmt: skip
-    return row, read_transfer(out / "transfer.nc").values
+    found = read_compliance(out / "transfer.nc")
+    block = np.ix_(range(len(found.frequency)), found.indices("point"), found.indices("contact"))
+    return row, found.values[block]
+
+
+def processor_seconds() -> float:
+    """Of all processes that were started and have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def version_of(home: Path) -> str:
@@ -96,27 +143,30 @@ def version_of(home: Path) -> str:
     return text.partition('__version__ = "')[2].partition('"')[0]
 
 
-def own_error() -> float:
-    """True e_band of the finest run: the least in ``overkill.csv``."""
-    with (HERE / "results" / "overkill.csv").open(encoding="utf-8", newline="") as file:
-        return min(float(r["true"]) for r in csv.DictReader(file) if r["what"] == "G over the band")
+def true_error(name: str, values: Any, finest: Any, own: float) -> float:
+    """e_band of ``values``, against the layered model or the ``finest`` run with its ``own`` error."""
+    if name == "slab":
+        return float(band_error(values, exact(BAND)[:, 1:]))
+    return math.hypot(band_error(values, finest), own)
 
 
 def drawn(rows: list[dict[str, Any]]) -> Figure:
-    """Seconds and memory over the true error, a line for each version."""
-    figure = Figure(figsize=(7.1, 3.2), layout="constrained")
-    axes = figure.subplots(1, 2)
+    """Seconds and memory over the stated and the true error, a line for each version."""
+    figure = Figure(figsize=(7.1, 5.0), layout="constrained")
+    axes = figure.subplots(2, 2, sharex="col", sharey="row")
     for version, colour in zip(dict.fromkeys(r["version"] for r in rows), ("#0072b2", "#d55e00"), strict=True):
         mine = [r for r in rows if r["version"] == version]
-        for ax, key in zip(axes, ("seconds", "peak_gb"), strict=True):
-            at, size = ([float(r[k]) for r in mine] for k in ("error", key))
-            ax.plot(at, size, "o-", color=colour, label=version)
-    for ax, label in zip(axes, ("whole run [s]", "peak memory [GB]"), strict=True):
-        ax.set(xlabel="true e_band of G", ylabel=label, xscale="log", ylim=(0, None))
-        ax.set_xticks(_TICKS, [f"{t:g}" for t in _TICKS])
-        ax.minorticks_off()
+        for line, key in zip(axes, ("seconds", "peak_gb"), strict=True):
+            for ax, error in zip(line, ("stated", "true"), strict=True):
+                at, size = ([float(r[k]) for r in mine] for k in (error, key))
+                ax.plot(at, size, "o-", color=colour, label=version)
+    for line, label in zip(axes, ("whole run [s]", "peak memory [GB]"), strict=True):
+        line[0].set(ylabel=label, ylim=(0, None))
+    for ax, error in zip(axes[1], ("stated", "true"), strict=True):
+        ax.set(xlabel=f"{error} e_band of G", xscale="log")
+    for ax in axes.flat:
         ax.grid(color="#dddddd")
-    axes[0].legend(frameon=False)
+    axes[0, 0].legend(frameon=False)
     return figure
 
 

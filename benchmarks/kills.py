@@ -145,9 +145,9 @@ def participant(process: subprocess.Popen[bytes], home: Path) -> None:
     while process.poll() is None:
         try:
             state = asked("state")
-            if state["waiting"] in ("start", "break"):
+            if state["waiting"] in ("start", "pause", "break"):
                 asked("start", {})
-            elif state["waiting"] == "present":
+            elif state["waiting"] == "stimulus":
                 asked("present", {})
             elif state["waiting"] == "answer":
                 n = int(state["answered"])

@@ -22,8 +22,7 @@ from forearm_fem.measurement.chain import reported
 from forearm_fem.metrics.strength import thesis_table
 from forearm_fem.ports import Port
 from forearm_fem.questions.predict.arm import LayeredArm, without_bones
-from forearm_fem.questions.predict.draws import draw_inputs, load_priors, measured_of, scenario_of
-from forearm_fem.questions.predict.run import expanded
+from forearm_fem.questions.predict.draws import draw_inputs, expanded, load_priors, measured_of, scenario_of
 from forearm_fem.questions.predict.statistics import group_columns, group_means, joint_distance, log_score
 from forearm_fem.rendering.job import RenderJob
 from forearm_fem.scenario import Scenario, load_scenario

@@ -30,8 +30,7 @@ from forearm_fem.fem.reduction.parametric_greedy import Growth
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
-from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of
-from forearm_fem.questions.predict.run import expanded
+from forearm_fem.questions.predict.draws import draw_inputs, expanded, load_priors, scenario_of
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.transfer import band_error, relative_error

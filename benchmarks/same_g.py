@@ -26,13 +26,14 @@ import sys, time
 from pathlib import Path
 import numpy as np
 from forearm_fem import load_scenario, render, simulate
-from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
+from forearm_fem.geometry.mesh.tissue_mesh import Bends, TissueMesh
 file, out, shared, *overrides = sys.argv[1:]
 scenario, base, mesh = load_scenario(file, overrides=overrides), Path(file).parent, None
 if shared and Path(shared).exists():
     kept = dict(np.load(shared, allow_pickle=False))
     facets = {name[7:]: kept[name] for name in kept if name.startswith("facets ")}
-    mesh = TissueMesh(kept["points"], kept["tetrahedra"], kept["region"], tuple(kept["names"].tolist()), facets)
+    bends = Bends(kept["edges"], kept["offsets"])
+    mesh = TissueMesh(kept["points"], kept["tetrahedra"], kept["region"], tuple(kept["names"].tolist()), facets, bends)
 began = time.perf_counter()
 found = simulate(scenario, base=base, mesh=mesh)
 simulated = time.perf_counter() - began
@@ -40,7 +41,8 @@ if shared and mesh is None:
     m = found.mesh
     facets = {f"facets {name}": f for name, f in m.facets.items()}
     names = np.array(m.region_names)
-    np.savez(shared, points=m.points, tetrahedra=m.tetrahedra, region=m.region, names=names, **facets)
+    arrays = dict(points=m.points, tetrahedra=m.tetrahedra, region=m.region, names=names, **facets)
+    np.savez(shared, edges=m.bends.edges, offsets=m.bends.offsets, **arrays)
 s = np.zeros((3, 0))
 if scenario.rendering.methods:
     rendering = render(found)

@@ -145,15 +145,15 @@ def plot_of_s(s: Strength) -> FigureBase:
     """S by target with its interval; above the line S > 1 motion is focused."""
     from matplotlib.figure import Figure
 
-    from .show.style import method_colour
+    from .show.style import method_look
 
     figure = Figure(figsize=(5.0, 3.0), layout="constrained")
     axes, at = figure.add_subplot(), np.arange(len(s.targets))
     for m, method in enumerate(s.methods):
         aside = at + 0.15 * (m - (len(s.methods) - 1) / 2)
         off = np.abs(np.stack([s.value[m] - s.low[m], s.high[m] - s.value[m]]))
-        colour = method_colour(method, s.methods)
-        axes.errorbar(aside, s.value[m], yerr=np.nan_to_num(off), fmt="o", color=colour, label=method)
+        colour, marker, _ = method_look(method, s.methods)
+        axes.errorbar(aside, s.value[m], yerr=np.nan_to_num(off), fmt=marker, color=colour, label=method)
     axes.axhline(1.0, color="0.6", linewidth=0.8)
     axes.set_xticks(at, s.targets)
     axes.set_xlabel("target")

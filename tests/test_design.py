@@ -99,6 +99,14 @@ def test_files_of_several_arms_are_seen_from_the_folder_of_each_and_are_part_of_
     assert scores("a", "b")[1] != asked
 
 
+def test_a_method_of_ones_own_is_called_by_its_name(tmp_path):
+    """Reports called it by the path of its file, by which the confirmed run did not know it."""
+    (tmp_path / "mine.py").write_text("class Near:\n    name = 'nearest alone'\n    def aim(self, *_): ...\n")
+    asked = design(tmp_path, f'{SPACING}[objective]\nmethod = "mine:Near"\n')
+    assert asked.method == "nearest alone"
+    assert design(tmp_path, SPACING).method == "inverse filter"
+
+
 def test_the_search_finds_the_optimum_of_an_analytic_stand_in(tmp_path):
     """A paraboloid over a range and a choice: found to a hundredth of the range and exactly."""
     text = SPACING + '[[variables]]\nkey = "device.rows"\nvalues = [1, 2, 3, 4]\n'

@@ -113,7 +113,7 @@ def test_a_measured_g_meets_no_accuracy_by_its_scatter_alone():
     scatter = ErrorEstimate("measurement", 0.001, "")
     said = accuracy_verdict(Scenario(accuracy=0.1), (scatter,))
     assert said == (
-        "asked e_band <= 0.1: UNKNOWN, as a measured G states its scatter (0.001) and no systematic error"
+        "error of G, 10 % asked: UNKNOWN, as a measured G states its scatter (0.1 %) and no systematic error"
     )
 
 

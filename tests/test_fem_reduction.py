@@ -419,18 +419,22 @@ def agrees(found, exact, *, abs_, rel=0.0):
     return found.shape == exact.shape and (np.abs(found - exact) <= np.maximum(rel * np.abs(exact), abs_)).all()
 
 
-def test_columns_are_taken_apart_in_single_precision():
-    """In blocks that are orthogonal to 1e-3 only: what is known and what is left are the columns, to 1e-6 a column."""
-    rng, n_u = np.random.default_rng(5), 400
+@pytest.mark.parametrize(("n_u", "width"), [(400, 8), (4300, 16), (400, 32)])
+def test_columns_are_taken_apart_in_single_precision(n_u, width):
+    """In blocks that are orthogonal to 1e-3 only: what is known and what is left are the columns, to 1e-6 a column.
+
+    Eight columns by BLAS, whole vectors of sixteen by compiled code, 4096 rows at a time.
+    """
+    rng = np.random.default_rng(5)
     whole = np.linalg.qr(rng.normal(size=(n_u, 50)))[0] + 1e-3 / np.sqrt(n_u) * rng.normal(size=(n_u, 50))
     whole = np.vstack([whole, rng.normal(size=(30, 50))]).astype(np.float32)
     basis = Basis((whole[:, :20], whole[:, 20:21], whole[:, 21:]))
-    columns = np.vstack([np.linalg.qr(rng.normal(size=(n_u, 8)))[0], rng.normal(size=(30, 8))])
+    columns = np.vstack([np.linalg.qr(rng.normal(size=(n_u, width)))[0], rng.normal(size=(30, width))])
     left = columns.astype(np.float32)
     known = basis.subtracted_in_place(left, n_u)
     assert np.abs(basis.rough_combination(known) + left - columns).max() < 2e-6  # of single precision's 6e-8, 50 sums
     assert np.abs(whole[:n_u].T @ left[:n_u]).max() < 1e-3  # what the blocks' own products are, times known below 1
-    assert Basis().subtracted_in_place(left, n_u).shape == (0, 8)
+    assert Basis().subtracted_in_place(left, n_u).shape == (0, width)
 
 
 def test_a_basis_asks_for_what_is_not_zero_piece_by_piece():

@@ -39,6 +39,7 @@ from forearm_fem.show import (
     plot_conditioning,
     plot_errors,
     plot_table_one,
+    plot_target,
     plot_transfer,
     strengths,
     table_one,
@@ -114,6 +115,8 @@ def test_table_one_beside_the_thesis(made: Path, run: Results) -> None:
     )
     assert float(middle["thesis"]["mean"]) == 0.63
     assert "| Middle (5) |" in (made / "table-1-table.md").read_text(encoding="utf-8")
+    latex = (made / "table-1-table.tex").read_text(encoding="utf-8")  # a float that says what its numbers are
+    assert latex.index(r"\begin{table}") < latex.index(r"\caption{") < latex.index(r"\begin{tabular}")
 
 
 @pytest.mark.parametrize("width", [88, 181])
@@ -146,6 +149,18 @@ def test_the_target_figure_holds_the_nine_displacements(made: Path, run: Results
     whole = run.displacements.values[0, 4, 4]
     at = np.searchsorted(run.displacements.time, [t for t, _ in own])
     np.testing.assert_allclose([u for _, u in own], whole[at], rtol=1e-8, atol=1e-20)
+
+
+@pytest.mark.parametrize("width", [88, 181])
+def test_maps_can_be_read_in_print_and_times_lie_below_each_other(run: Results, width: int) -> None:
+    """Maps were 6 mm wide in a column, and 0 ms stood at another place for each method."""
+    figure = plot_target(target_waves(run, "5"), width=width)
+    figure.draw_without_rendering()
+    maps = [ax for ax in figure.axes if ax.collections and len(ax.lines) >= 3]
+    times = [ax for ax in figure.axes if len(ax.lines) > 4 and not ax.collections]
+    assert len(maps) == 3 * 2 * (4 if width == 88 else 6)
+    assert min(ax.get_position().width for ax in maps) * width > 15.0
+    assert len({(ax.get_position().x0, ax.get_position().x1, *ax.get_xlim()) for ax in times}) == 1
 
 
 def test_instants_surround_the_targets_peak() -> None:

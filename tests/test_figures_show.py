@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 from test_figures_scene import folder  # noqa: F401
 
+from forearm_fem.cli.look import figures
 from forearm_fem.errors import DataError, MissingExtra, NotApplicable
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.show import Results
@@ -27,8 +28,9 @@ from forearm_fem.show.film import (
     standing,
     wavefield,
 )
-from forearm_fem.show.motion import View, default_times, focus_time, motion, round_down_125
+from forearm_fem.show.motion import View, default_times, focus_time, motion
 from forearm_fem.show.scene import plotter_for
+from forearm_fem.show.style import round_down_125
 
 pytestmark = pytest.mark.drawn
 
@@ -202,6 +204,11 @@ def test_mp4_names_its_extra(run: Results, tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setitem(sys.modules, "imageio", None)
     with pytest.raises(MissingExtra, match=r"forearm-fem\[movie\]"):
         animate(run, tmp_path / "film.mp4")
+    flat = tmp_path / "flat"  # no motion between the points: both reasons are told at once, before anything is loaded
+    flat.mkdir()
+    (flat / "scenario.json").write_bytes((run.folder / "scenario.json").read_bytes())
+    with pytest.raises(DataError, match=r"forearm-fem\[movie\].*no motion between the points"):
+        figures(flat, film=tmp_path / "film.mp4")
 
 
 def test_a_picture_and_a_film_of_one_view_are_drawn_alike(run: Results) -> None:

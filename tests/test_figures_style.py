@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties, findfont
 
-from forearm_fem.show.style import _behind, clear_legends
+from forearm_fem.errors import DataError
+from forearm_fem.show.registry import save_drawn
+from forearm_fem.show.style import METHODS, _behind, clear_legends, lettering, method_look, panels
 from forearm_fem.show.targets import moments
 
 pytestmark = pytest.mark.drawn
@@ -37,3 +40,30 @@ def test_the_largest_motion_of_the_grid_is_among_the_instants(gap):
     assert np.abs(instants).min() < 1e-9
     assert np.abs(instants - gap * 1e-3).min() <= 1.01e-4 * 1.5  # one sample and a half: steps are whole samples
     assert np.allclose(np.diff(instants), instants[1] - instants[0])
+
+
+def test_every_format_of_a_figure_is_laid_out_once(tmp_path):
+    """The second was laid out anew, without room for the footer."""
+    figure = panels((3, 2))
+    ax = figure.add_subplot(xlabel="time")
+    save_drawn(figure, tmp_path / "one", ("svg",), "made here")
+    first = ax.get_position().bounds
+    save_drawn(figure, tmp_path / "two", ("png", "svg"))
+    assert ax.get_position().bounds == first
+    assert figure.texts[0].get_window_extent().y1 < ax.get_tightbbox().y0
+
+
+def test_letters_are_of_the_font_asked_for_or_it_is_refused():
+    default = findfont(FontProperties())
+    with lettering("DejaVu Serif"):
+        assert findfont(FontProperties()).endswith("DejaVuSerif.ttf")
+    assert findfont(FontProperties()) == default
+    with pytest.raises(DataError, match="no font is called 'Nothing Sans' on this machine"), lettering("Nothing Sans"):
+        pass
+
+
+def test_methods_are_known_without_their_colours():
+    names = [*METHODS, "one's own", "another"]
+    looks = [method_look(n, names) for n in names]
+    assert len({look.marker for look in looks}) == len(names)
+    assert len({look.hatch for look in looks[:3]}) == 3

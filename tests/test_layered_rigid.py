@@ -20,7 +20,7 @@ from forearm_fem.layered import (
 )
 from forearm_fem.layered import discs as discs_of
 from forearm_fem.layered.discs import galerkin
-from forearm_fem.layered.hankel import _balls, _bessels
+from forearm_fem.layered.hankel import _balls, bessels
 from forearm_fem.layered.integrals import NODES, Rules
 
 pytestmark = pytest.mark.integrated
@@ -275,7 +275,7 @@ def test_bessel_functions_of_all_orders_are_scipys():
     """Upwards above their order and by Miller's algorithm below: to rounding of the largest, and of tiny ones too."""
     x = np.concatenate([[0.0], np.logspace(-9, 0, 200), np.linspace(0.01, 60.0, 3000)]).reshape(-1, 1)
     for top in (1, 2, 3, 6, 13):
-        for found, plain in ((_bessels(top, x), special.jv), (_balls(top, x), special.spherical_jn)):
+        for found, plain in ((bessels(top, x), special.jv), (_balls(top, x), special.spherical_jn)):
             exact = [plain(n, x) for n in range(top + 1)]
             assert np.allclose(found, exact, rtol=0, atol=3e-15)
             small = x[:, 0] < 1e-3

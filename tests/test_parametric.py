@@ -508,7 +508,7 @@ def test_one_azimuthal_order_says_what_geometry_changes_within_its_statement(mod
     for number in (3, 7):
         drawn = scenario_of(draw_inputs(load_priors(), scene, 0, number), scene)
         own = with_scene_geometry(scene, drawn)
-        change, error = arm._change(drawn, own, PROBES)
+        change, error, _ = arm._change((drawn, own), (drawn, own), PROBES)
         truth = np.subtract(*(np.nan_to_num(exact.compliance(s, PROBES).values) for s in (drawn, own)))
         kinds = np.array([port.kind for port in flat_ports(scene)])
         block = np.ix_(range(len(PROBES)), kinds == "point", kinds == "contact")
@@ -545,7 +545,7 @@ def test_an_arm_of_other_thickness_is_nearer_with_the_layered_models_change(mode
     before, missed = model.answer(laid, PROBES)
     change = np.abs(np.nan_to_num(found.values - before.values))
     off = np.abs(np.nan_to_num(np.array([other.values for other in answer.others]) - found.values))
-    _, numerics = arm._change(drawn, laid, PROBES)
+    _, numerics, _ = arm._change((drawn, laid), (drawn, laid), PROBES)
     # Half of the change and the layered model's errors, in any phase; reduction
     most = 0.5 * change + numerics + missed.of(before)
     off, most = off[..., :2], most[..., :2]  # points do not drive: of two, geometry is not asked
@@ -557,6 +557,22 @@ def test_an_arm_of_other_thickness_is_nearer_with_the_layered_models_change(mode
     all_by_layers = {e.source: e for e in still.compliance(drawn, PROBES).errors}["interpolation"]
     assert errors["interpolation"] < 0.8 * all_by_layers.band
     assert "thickness and place of the grid changes" in all_by_layers.method
+
+
+@pytest.mark.parametrize("frequency", [PROBES, np.linspace(20, 500, 40)], ids=["few", "many"])
+def test_points_seen_elsewhere_are_those_of_an_arm_of_that_grid(model, frequency):
+    """By the solutions of the arm itself, whose span knows no load there: 1e-3, as a span may err by; and the layered
+    model's part of a thicker fat at the points seen."""
+    scene = parse_scenario(SCENE)
+    arm = ReducedArm(scene, model, LayeredArm())
+    drawn = scene.model_copy(update={"limb": parse_scenario(THICK).limb})
+    seen = drawn.model_copy(update={"grid": scene.grid.changed({"points": [(0.001, 0.005), (0.0, -0.007)]})})
+    answer, met = arm.answers(drawn, seen, frequency)
+    alone, theirs = arm.compliance(drawn, frequency), arm.compliance(seen, frequency).block("point", "contact")
+    assert np.allclose(np.nan_to_num(answer.compliance.values), np.nan_to_num(alone.values), rtol=1e-9, atol=1e-12)
+    off = np.abs(met.block("point", "contact") - theirs).max(axis=(1, 2)) / np.abs(theirs).max(axis=(1, 2))
+    assert off.max() < 1e-3
+    assert band_error(met.block("point", "contact"), alone.block("point", "contact")) > 0.02  # they are elsewhere
 
 
 class Unsure(LayeredArm):

@@ -21,6 +21,7 @@ from forearm_fem.questions.predict.draws import (
     SOFT,
     Prior,
     draw_inputs,
+    expanded,
     law_parameters,
     load_priors,
     measured_of,
@@ -28,7 +29,6 @@ from forearm_fem.questions.predict.draws import (
     scenario_of,
     wide_priors,
 )
-from forearm_fem.questions.predict.run import expanded
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.tissue import PRESETS, resolve_tissues
 

@@ -8,29 +8,42 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, get_args
 
 import numpy as np
 import pytest
+from scipy.special import gammainc
 from test_figures_scene import folder  # noqa: F401
 
 from forearm_fem.errors import DataError
 from forearm_fem.ports import Port
-from forearm_fem.rendering.drives import CLEARANCE, counted_points, not_counted_words
+from forearm_fem.rendering.drives import CLEARANCE, counted_points, limits_of, not_counted_words
 from forearm_fem.scenario import parse_scenario
+from forearm_fem.scenario.rendering import RickerWavelet
 from forearm_fem.show import Results, kinds
-from forearm_fem.show.answer import answer_of, console_lines, is_thesis_device, method_answers, next_steps, trust_of
+from forearm_fem.show.answer import (
+    answer_of,
+    console_lines,
+    is_thesis_device,
+    just_counted,
+    method_answers,
+    next_steps,
+    trust_of,
+)
 from forearm_fem.show.facts import (
+    band_words,
     condition_words,
     differences,
     errors_block,
     exceeded,
     limit_words,
+    play_block,
     scene_block,
 )
 from forearm_fem.show.judge import ERRORS, Strengths, strengths
 from forearm_fem.show.page import Page
-from forearm_fem.show.report import write_report
+from forearm_fem.show.report import to_play, write_report
 from forearm_fem.transfer import ErrorSource
 
 pytestmark = pytest.mark.drawn
@@ -156,6 +169,59 @@ def test_table_one_stands_beside_the_thesis_device_only(folder: Path, report: tu
     corner = next(x for x in lines if x.startswith("Corners (1/3/7/9), combination"))
     assert "2.60 in the thesis (spread 0.92)" in corner
     assert 'id="thesis"' in report[0]
+    named = " ".join(lines)  # what agrees was left out silently
+    places = ("Middle (5)", "Edges (2/4/6/8)", "Corners (1/3/7/9)")
+    assert all(f"{place}, {method}" in named for place in places for method in strengths(Results.open(folder)).methods)
+
+
+def test_a_point_that_counts_by_half_a_millimetre_says_so(folder: Path) -> None:  # noqa: F811
+    """Corners 9.5 mm off a rim made the mean, as all others; with 20 mm asked for, the middle alone is clear."""
+    results = Results.open(folder)
+    data = strengths(results)
+    said = just_counted(results, data)
+    assert said.startswith("Points 1, 3, 7, 9 count by 0.5 mm")
+    best = method_answers(data)[0].method
+    edges = [results.transfer.outputs[k].name for k in (1, 3, 4, 5, 7)]
+    mean = np.mean([r.S for r in results.strengths if r.method == best and r.target in edges])
+    assert f"{mean:.2f}" in said
+    assert said in answer_of(results, data)
+    results.__dict__["scenario"] = results.scenario.changed({"rendering.clearance": 0.004})
+    assert just_counted(results, data) == ""
+
+
+def test_a_rig_reads_what_to_play(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
+    """Volts of each actuator with their sign, and room to a limit that is the drives' own."""
+    results = Results.open(folder)
+    sent, limits = results.drives, limits_of(results.scenario.device)
+    block = play_block(results, ["funneling"])
+    row = dict(zip(block.header, block.rows[4], strict=True))
+    signals = sent.values[sent.methods.index("funneling"), sent.targets.index("5")]
+    volts = [float(row[f"{name} [V]"].replace("\N{MINUS SIGN}", "-")) for name in sent.channels]
+    largest = [s[np.abs(s).argmax()] for s in signals]
+    np.testing.assert_allclose(volts, largest, rtol=5e-3)  # three digits
+    assert limits is not None
+    room = float(row["room to a limit"].removesuffix(" times"))
+    power = np.mean((room * signals) ** 2, axis=1).max() / limits.resistance
+    share = max(room * np.abs(signals).max() / limits.voltage, np.sqrt(power / limits.power))
+    assert share == pytest.approx(1, abs=0.01)
+    monkeypatch.setattr("forearm_fem.show.report.is_measured", lambda _: True)
+    first, others = to_play(results, strengths(results))
+    assert f"{results.folder} --method" in first.commands[0][1]
+    assert others.folded
+
+
+def test_what_the_band_cuts_from_the_wavelet_is_said(folder: Path) -> None:  # noqa: F811
+    """Energy of a Ricker wavelet below f: an incomplete gamma function of 2 (f / peak)^2."""
+    results = Results.open(folder)
+    options, f = results.scenario.rendering.wavelet, results.transfer.frequency
+    assert isinstance(options, RickerWavelet)
+    low, high = gammainc(2.5, 2 * (f[[0, -1]] / options.peak) ** 2)
+    found = re.search(r"(\d+) % of its energy", band_words(results))
+    assert found is not None
+    assert float(found[1]) == pytest.approx(100 * (high - low), abs=0.6)  # whole per cent
+    wide = np.concatenate([f, [1e3]])
+    results.__dict__["transfer"] = SimpleNamespace(frequency=wide)
+    assert band_words(results) == ""
 
 
 def test_limits_exceeded_are_named(folder: Path, tmp_path: Path) -> None:  # noqa: F811

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from forearm_fem.engines.fem import fem_model
-from forearm_fem.engines.layered import solve_layered
+from forearm_fem.engines.layered import kept_tables
 from forearm_fem.errors import GeometryError, ScenarioError
 from forearm_fem.fem.assembly.bending import facet_bending
 from forearm_fem.fem.assembly.boundary import covered_area, facet_mass, facet_membrane, under_rectangle
@@ -142,11 +142,11 @@ def test_a_patch_on_all_of_the_skin_is_the_membrane():
     assert abs(bare - covered) > 0.05 * abs(bare)
 
 
-def test_a_patch_beside_the_limb_or_on_the_layered_model_is_refused():
+def test_a_patch_beside_the_limb_or_in_tables_is_refused():
     block = held_block(2)  # its skin does not reach the origin's neighbourhood
     with pytest.raises(GeometryError, match=r"tissues\.patch"):
         build_model(block.space.mesh, block.ports, {"block": flesh()}, FreeUnderside(), Membrane(),
                     patch=Patch(length=1e-6, width=1e-6, mass=0.2))  # fmt: skip
     scenario = parse_scenario({"engine": "layered", "tissues": {"patch": {"mass": 0.2}}})
-    with pytest.raises(ScenarioError, match=r"tissues\.patch: engine = 'layered' has no edges"):
-        solve_layered(scenario, np.array([100.0]))
+    with pytest.raises(ScenarioError, match=r"tissues\.patch: tables and fits of the layered model have no tape"):
+        kept_tables(scenario, 0.1)

@@ -39,15 +39,15 @@ def accuracy_verdict(scenario: Scenario, errors: tuple[ErrorEstimate, ...]) -> s
     for a measured G, which states its scatter alone."""
     if not errors:
         return "no error estimate was made, so the accuracy asked for cannot be confirmed"
-    asked, total = f"asked e_band <= {scenario.accuracy:g}", total_error(errors)
+    asked, total = f"error of G, {100 * scenario.accuracy:g} % asked", total_error(errors)
     if math.isnan(total):
         missing = [e for e in errors if not e.known]
         names = ", ".join(e.source for e in missing)
         return f"{asked}: UNKNOWN, as {names} could not be estimated ({missing[0].method})"
     if all(e.source == "measurement" for e in errors):
-        return f"{asked}: UNKNOWN, as a measured G states its scatter ({total:.2g}) and no systematic error"
+        return f"{asked}: UNKNOWN, as a measured G states its scatter ({100 * total:.2g} %) and no systematic error"
     met = "met" if total <= scenario.accuracy else "NOT met"
-    return f"{asked}, estimated {total:.2g} over all sources: {met}"
+    return f"{asked}, {100 * total:.2g} % estimated over all sources: {met}"
 
 
 def short_verdict(sentence: str) -> str:

@@ -107,7 +107,7 @@ def declared(option: str = "--declare", file: str = "a file") -> Any:
 ScenarioFile = Annotated[
     Path, typer.Argument(callback=scenario_file, help="scenario file, or the name of one that comes along, e.g. thesis")
 ]
-Overrides = Annotated[list[str] | None, typer.Option("--set", help="override a key, e.g. device.spacing=0.040")]
+Overrides = Annotated[list[str] | None, typer.Option("--set", help="override a key, e.g. device.spacing=40mm")]
 OutFolder = Annotated[
     Path | None, typer.Option("--out", help="results folder; default results/NAME, after --set results/NAME-KEY-VALUE")
 ]

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from ..errors import DataError
+from ..errors import DataError, ForearmError, MissingExtra, optional
 from ..scenario import scenario_file
 from .common import Declared, declaration, ends_in, job, refuse_folder, scene_of, there
 
@@ -36,6 +36,9 @@ def figures(
     width: Annotated[
         int | None, typer.Option(help="of a journal, in mm: 88, one column (what it cannot hold is refused), or 181")
     ] = None,
+    font: Annotated[
+        str, typer.Option(help="of all letters, one that this machine has, e.g. Arial; default DejaVu Sans")
+    ] = "",
     footer: Annotated[bool, typer.Option(help="the line on scene and version at the foot")] = True,
     film: Annotated[
         Path | None,
@@ -62,7 +65,7 @@ def figures(
     with job(out or results) as display:
         written = make_figures(
             results, out, only=names, formats=kinds,
-            progress=display, width=width, footer=footer,
+            progress=display, width=width, footer=footer, font=font,
         )  # fmt: skip
     for file in written:
         typer.echo(str(file))
@@ -70,6 +73,7 @@ def figures(
 
 def _filmed(results: Path, film: Path, method: str | None, target: str | None, view: str, speed: float) -> None:
     """A film of the skin: of a method and target, from a camera, at a share of real time."""
+    _refuse_film(results, film)
     from ..show.data import Results as Folder
     from ..show.film import Look, animate, default_view, frames_at, plot_wavefield, wavefield
     from ..show.registry import save_drawn
@@ -84,6 +88,31 @@ def _filmed(results: Path, film: Path, method: str | None, target: str | None, v
         else:
             animate(found, film, view=asked, look=Look(view), frames_per_second=frames_at(speed), progress=display)
     typer.echo(str(film))
+
+
+def _refuse_film(results: Path, film: Path) -> None:
+    """Refuse a film that cannot be made, with all reasons at once, before anything is loaded."""
+    reasons: list[ForearmError] = []
+    try:
+        for package in ("imageio", "imageio_ffmpeg") if film.suffix.lower() == ".mp4" else ():
+            optional(package, "movie", "an .mp4 film")
+    except MissingExtra as problem:
+        reasons.append(problem)
+    if not (results / "wavefield.nc").is_file():
+        from ..show.data import Results as Folder
+        from ..show.motion import View, check_view
+
+        try:
+            check_view(Folder.open(results), View())
+        except DataError as problem:
+            reasons.append(problem)
+    if len(reasons) == 2:
+        raise DataError(
+            f"{film.name}: an .mp4 needs python3 -m pip install 'forearm-fem[movie]', and no motion between the points "
+            f"is known in {results.name} (the layered model, a library and measured G have none)"
+        )
+    if reasons:
+        raise reasons[0]
 
 
 def _split(text: str) -> tuple[str, ...]:

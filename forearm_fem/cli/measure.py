@@ -199,7 +199,7 @@ def play(
     snr: Snr = 60.0,
     card: Card = None,
 ) -> None:
-    """Send drive signals, faded and within the voltage limit; Ctrl-C ramps down, twice cuts."""
+    """Send drive signals, faded and within the voltage limit; Ctrl-C fades out; press it twice to stop at once."""
     from ..questions.calibrate import run_play
 
     _refuse_idle(daq, card, through, declare, snr=snr)

@@ -15,7 +15,7 @@ from ..accuracy.estimates import quadrature_estimate
 from ..errors import ScenarioError
 from ..geometry.device.layout import layers_of, layout_of
 from ..geometry.device.place import parametric_skin, ports_on
-from ..layered import Disc, Layer, Surface, layered_compliance
+from ..layered import Disc, Layer, Sheet, Surface, layered_compliance
 from ..layered.tables import Tabulated, from_arrays, tabulate
 from ..ports import Port
 from ..progress import Progress
@@ -34,9 +34,9 @@ __all__ = ["LayeredEngine", "solve_layered"]
 # The semi-analytic engine: the same ports on flat layers without end, by the same rules of placement.
 
 _TOLERANCE = 1e-7  # of the quadrature and of the interpolation in frequency: far below what rigid contacts leave
-_NO_PATCH = (
-    "tissues.patch: engine = 'layered' has no edges on the skin; use engine = 'fem', or cover all of the skin "
-    "by tissues.membrane"
+NO_PATCH = (
+    "tissues.patch: tables and fits of the layered model have no tape; use engine = 'fem', or cover all of the skin by "
+    "tissues.membrane"
 )
 _LEFT_OUT = "curvature, bones, supports, sides and ends are left out: what they change, only engine = fem can tell"
 
@@ -49,10 +49,8 @@ class LayeredEngine:
     name: str = "layered"
 
     def holds(self, scenario: Scenario) -> str:
-        """See :class:`.Engine`: limbs of layers, without tape."""
-        if isinstance(scenario.limb, MeshLimb | SurfacesLimb):
-            return _no_layers(scenario)
-        return _NO_PATCH if scenario.tissues.patch.is_on else ""
+        """See :class:`.Engine`: limbs of layers."""
+        return _no_layers(scenario) if isinstance(scenario.limb, MeshLimb | SurfacesLimb) else ""
 
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """See :class:`.Engine`."""
@@ -68,12 +66,12 @@ def solve_layered(scenario: Scenario, frequency: FloatArray, *, progress: Progre
     layers, ports = flat_layers(scenario), flat_ports(scenario)
     contacts, discs = ([flat_disc(port) for port in some] for some in (contacts_of(ports), ports))
     result = layered_compliance(
-        layers, 2 * np.pi * frequency, contacts, discs, surface=flat_surface(scenario.tissues),
-        tolerance=_TOLERANCE, progress=progress,
+        layers, 2 * np.pi * frequency, contacts, discs, surface=flat_membrane(scenario.tissues),
+        sheet=flat_sheet(scenario.tissues), tolerance=_TOLERANCE, progress=progress,
     )  # fmt: skip
     values = between_ports(result.values, ports)
     integrals = (result.quadrature + result.interpolation) * _over_points(values, ports)
-    error = np.asarray(result.truncation + integrals)
+    error = np.asarray(result.truncation + result.sheet + integrals)
     estimate = quadrature_estimate(
         frequency, error,
         "Hankel quadrature's own control and the last coefficients between frequencies, relative to the largest entry "
@@ -149,14 +147,24 @@ def flat_layers(scenario: Scenario) -> list[Layer]:
 
 
 def flat_surface(tissues: Tissues) -> Surface:
-    """The membrane on the skin: an incompressible sheet, E h/(1 - nu^2) = 4 mu h.
-
-    :class:`ScenarioError` for a patch, which has edges.
-    """
-    membrane = tissues.membrane
+    """As :func:`flat_membrane` where that is all; :class:`ScenarioError` for a patch, which has edges."""
     if tissues.patch.is_on:
-        raise ScenarioError(_NO_PATCH)
+        raise ScenarioError(NO_PATCH)
+    return flat_membrane(tissues)
+
+
+def flat_membrane(tissues: Tissues) -> Surface:
+    """The membrane on the skin: an incompressible sheet, E h/(1 - nu^2) = 4 mu h."""
+    membrane = tissues.membrane
     return Surface(membrane.tension, 4 * membrane.stiffness, membrane.mass, 4 * membrane.viscosity)
+
+
+def flat_sheet(tissues: Tissues) -> Sheet | None:
+    """The patch of tape on the skin, or None."""
+    patch = tissues.patch
+    if not patch.is_on:
+        return None
+    return Sheet(patch.length, patch.width, patch.mass, 4 * patch.stiffness, 4 * patch.viscosity, patch.bending)
 
 
 def flat_notes(compliance: Compliance) -> tuple[str, ...]:
@@ -195,13 +203,14 @@ def kept_tables(
 ) -> Tabulated:
     """The layered model of the scenario's layers for its disc and band, ports up to ``reach`` [m] apart.
 
-    From ``known``, which is added to, else from ``folder`` (None: the cache), else made and kept there.
+    From ``known``, which is added to, else from ``folder`` (None: the cache), else made and kept there. ScenarioError
+    for a patch of tape.
     """
-    key = _key(scenario, reach)
+    key, surface = _key(scenario, reach), flat_surface(scenario.tissues)
     if known is not None and key in known:
         return known[key]
     shelf = Shelf((folder or default_cache_dir()) / "layered-tables.sqlite", "tables of the layered model")
-    cone, layers, surface = scenario.device.cone, flat_layers(scenario), flat_surface(scenario.tissues)
+    cone, layers = scenario.device.cone, flat_layers(scenario)
     found: Tabulated | None = None
     if (arrays := shelf.get(key)) is not None:
         found = from_arrays(arrays, layers, surface, cone.radius, cone.contact)

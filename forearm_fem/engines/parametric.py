@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.stats import qmc
 
 from .. import __version__
 from ..accuracy.estimates import PairErrors, raised_to_row_column_mean
@@ -70,6 +69,8 @@ class Ranges:
 
     def draws(self, scenario: Scenario, count: int, *, seed: int = 0) -> tuple[Scenario, ...]:
         """``count`` arms by a Latin hypercube over all inputs."""
+        from scipy.stats import qmc
+
         names = soft_tissues(scenario)
         layers = len(getattr(scenario.limb, "layers", ())) if self.thickness != 1 else 0
         places = qmc.LatinHypercube(3 * len(names) + 1 + layers, rng=seed).random(count)
@@ -198,14 +199,25 @@ class ParametricModel:
 
     def answer(self, scenario: Scenario, frequency: FloatArray) -> tuple[Compliance, PairErrors]:
         """The same with what it may miss at each pair of ports, which is smaller for points far from a contact."""
-        frequency = np.asarray(frequency, dtype=float)
-        values = np.empty((len(frequency), len(self.ports), len(self.ports)), dtype=complex)
+        return self.answers(scenario, scenario, frequency)[:2]
+
+    def answers(
+        self, scenario: Scenario, seen: Scenario, frequency: FloatArray
+    ) -> tuple[Compliance, PairErrors, Compliance]:
+        """The same, and the compliance of ``seen``, which is ``scenario`` but for its grid, by one solve."""
+        if reason := self.holds(seen):
+            raise ScenarioError(reason)
+        frequency, moved = np.asarray(frequency, dtype=float), seen.grid != scenario.grid
+        values, met = (np.empty((len(frequency), *(len(self.ports),) * 2), dtype=complex) for _ in range(2))
         found = list[_Answer]()
         for piece, mine in self._asked(scenario, frequency):
-            found.append(self._answered(*self._drawn(piece, scenario), frequency[mine]))
-            values[mine] = found[-1].values
+            drawn, rough = self._drawn(piece, scenario)
+            points = self._read(piece.whole, seen) if moved else None
+            found.append(self._answered(drawn, rough, points, frequency[mine]))
+            values[mine], met[mine] = found[-1].values, found[-1].seen
         missed = self._missed(found)
-        return Compliance(frequency, masked(values, self.ports), self.ports, (self._error(found, missed),)), missed
+        true, other = (Compliance(frequency, masked(v, self.ports), self.ports) for v in (values, met))
+        return replace(true, errors=(self._error(found, missed),)), missed, other
 
     def _drawn(self, piece: Piece, scenario: Scenario) -> tuple[Piece, AffineReduced]:
         """The models of a ``piece`` with the draw's coefficients and with its points where its grid lies, and the whole
@@ -218,40 +230,62 @@ class ParametricModel:
             return replace(piece, whole=self._moved(whole, shares, above), core=self._moved(core, shares, above)), rough
         return replace(piece, whole=whole, core=core), whole
 
+    @property
+    def _points(self) -> list[int]:
+        return [i for i, p in enumerate(self.ports) if p.kind == "point"]
+
     def _moved(self, reduced: AffineReduced, shares: FloatArray, above: bool) -> AffineReduced:
         """The model whose points read ``shares`` (n_point, k) of the k places around each, along the normals or from
         ``above``."""
-        points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
         functionals = reduced.functionals.copy()
         places = reduced.places.reshape(reduced.size, -1, *shares.shape)[:, int(above)]
-        functionals[:, points] = np.einsum("rpk,pk->rp", places, shares)
+        functionals[:, self._points] = np.einsum("rpk,pk->rp", places, shares)
         return replace(reduced, functionals=functionals)
 
-    def _answered(self, drawn: Piece, rough: AffineReduced, frequency: FloatArray) -> _Answer:
+    def _read(self, reduced: AffineReduced, scenario: Scenario) -> FloatArray:
+        """Functionals (r, n_point) of the points where the grid of ``scenario`` lies."""
+        if self.around is None or self._reads_own(scenario):
+            return reduced.functionals[:, self._points]
+        above = self.around.turned and scenario.grid.direction == "vertical"
+        shares = self.around.shares(scenario, self.around.count - 1)
+        return self._moved(reduced, shares, above).functionals[:, self._points]
+
+    def _answered(
+        self, drawn: Piece, rough: AffineReduced, points: FloatArray | None, frequency: FloatArray
+    ) -> _Answer:
         """Answer of a ``drawn`` piece at ``frequency`` (n,): values, interpolation error, and values of its core and
-        of the model of ``rough`` points."""
-        system, moved = Summed.of(drawn.whole), rough is not drawn.whole
+        of the model of ``rough`` points; with ``points`` (r, n_point), what would be seen there instead."""
+        system, moved, n = Summed.of(drawn.whole), rough is not drawn.whole, len(self.ports)
+        every = system if points is None else replace(system, reduced=_with_more(drawn.whole, points, self._points))
         if len(frequency) <= _NODES:
-            values, between = system.compliance(frequency), np.zeros((len(self.ports),) * 2)
+            values, between = every.compliance(frequency), np.zeros((n, n))
             some = np.unique(np.linspace(0, len(frequency) - 1, FIRST).round().astype(int))
-            probes, whole = frequency[some], values[some]
+            probes, whole = frequency[some], values[some, :n, :n]
             other = replace(system, reduced=rough).compliance(probes) if moved else whole
         else:
             known = spanned(system, frequency, _SPANNED, self._block, rough.functionals if moved else None)
             nodes, probes = chebyshev_frequencies(frequency, _NODES), known.solved[:FIRST]
-            values, between = self._fitted(nodes, known.span.compliance(nodes), frequency)
-            between, whole = between + known.missed, known.span.compliance(probes)
+            values, between = self._fitted(nodes, replace(known.span, system=every).compliance(nodes), frequency)
+            between, whole = between[:n, :n] + known.missed, known.span.compliance(probes)
             other = known.beside * rough.shares if moved else whole
-        return _Answer(values, between, probes, whole, Summed.of(drawn.core).compliance(probes), other)
+        met = np.arange(n)
+        met[self._points] = np.arange(n, values.shape[1]) if points is not None else self._points
+        seen = values[:, met[:, None], met]
+        core = Summed.of(drawn.core).compliance(probes)
+        return _Answer(values[:, :n, :n], between, probes, whole, core, other, seen)
 
     def _fitted(
         self, nodes: FloatArray, values: ComplexArray, frequency: FloatArray
     ) -> tuple[ComplexArray, FloatArray]:
         """Rational functions at ``frequency`` through ``values`` at the ``nodes`` (:func:`reciprocal`), and what they
-        miss of these (n_port, n_port), in shares of the largest entry of points under contacts."""
+        miss of these (n_port, n_port), in shares of the largest entry of points under contacts; further ports are
+        points."""
+        contact = [p.kind == "contact" for p in self.ports]
+        contact += [False] * (values.shape[1] - len(contact))
         shares = self.pieces[0].whole.shares
+        shares = np.append(shares, shares[self._points])[: len(contact)]
         shares = np.where(np.isfinite(shares), shares, 1.0)  # 1 where a force has no symmetric solution
-        fit = reciprocal(nodes, values / shares, [p.kind == "contact" for p in self.ports], _BETWEEN)
+        fit = reciprocal(nodes, values / shares, contact, _BETWEEN)
         sizes = np.abs(values[(slice(None), *self._block)]).max(axis=(1, 2))
         missed = np.triu((np.abs(fit(nodes) - values / shares) / sizes[:, None, None]).max(axis=0))
         return np.asarray(fit(frequency) * shares), missed + np.triu(missed, 1).T
@@ -304,6 +338,7 @@ class _Answer:
     ``values``: at the frequencies asked.
     ``between`` (n_port, n_port): interpolation error over the largest entry between nodes.
     ``whole``, ``core``, ``rough``: values at ``probes`` of the piece, its core and the model of rough points.
+    ``seen``: as ``values``, of points elsewhere.
     """
 
     values: ComplexArray
@@ -312,6 +347,13 @@ class _Answer:
     whole: ComplexArray
     core: ComplexArray
     rough: ComplexArray
+    seen: ComplexArray
+
+
+def _with_more(reduced: AffineReduced, points: FloatArray, like: Sequence[int]) -> AffineReduced:
+    """The model with ``points`` (r, n) as further ports, whose forces have the shares of the ports ``like`` them."""
+    functionals, shares = np.hstack([reduced.functionals, points]), np.append(reduced.shares, reduced.shares[like])
+    return replace(reduced, functionals=functionals, shares=shares)
 
 
 def reciprocal(

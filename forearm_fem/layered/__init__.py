@@ -14,12 +14,14 @@ from .closed_forms import (
 from .discs import Disc
 from .kernel import Base, Layer, Surface, SurfaceCompliance, surface_compliance, surface_kernel
 from .response import LayeredResult, layered_compliance
+from .tape import Sheet
 
 __all__ = [
     "Base",
     "Disc",
     "Layer",
     "LayeredResult",
+    "Sheet",
     "Surface",
     "SurfaceCompliance",
     "bonded_disc",

@@ -144,7 +144,8 @@ class Galerkin:
     ``terms``, ``order`` is the azimuthal order; ``rings`` (2, n) are ring tractions with a net force, and the ball
     that takes it over; ``grips`` (2, r) the tractions + and - of each bonded disc that hold it sideways, with a net
     force; ``tilts`` (2, t) those along z of orders 1 and -1 that hold each rigid disc of ``radii`` (t,) against tilt,
-    with a moment, and ``moments`` (2, n) rings with one, and the ball that takes it over.
+    with a moment, and ``moments`` (2, n) rings with one, and the ball that takes it over. ``tractions`` are all of
+    them, ``owner`` the number of the disc of each.
 
     Truncation error: what the last axisymmetric term changes, times terms/2, as the rim's singularity may make
     convergence a power of -2. Of the other series, geometric ones: what their last terms change, times their fall over
@@ -166,6 +167,8 @@ class Galerkin:
     grips: IntArray
     tilts: IntArray
     moments: IntArray
+    tractions: tuple[Traction, ...]
+    owner: tuple[int, ...]
 
     def matrix(self, integrals: ComplexArray) -> ComplexArray:
         """A (n_freq, n, n) [m/N] from the integrals (n_freq, n_columns); rings freed of their net force and moment."""
@@ -175,25 +178,25 @@ class Galerkin:
         values = np.zeros((integrals.shape[0], self.column.size + 1), dtype=complex)  # the last stands for none
         np.multiply(self.factor, np.take(integrals, self.column, axis=1), out=values[:, :-1])
         out = np.take(values, entry.ravel(), axis=1).reshape(-1, n, n)
-        for (ring, ball), share in ((pair, share) for pairs, share in self._moved for pair in pairs.T):
+        for (ring, ball), share in ((pair, share) for pairs, share in self.moved for pair in pairs.T):
             out[:, ring] -= share * out[:, ball]
             out[:, :, ring] -= share * out[:, :, ball]
         return out
 
     @property
-    def _moved(self) -> tuple[tuple[IntArray, float], ...]:
+    def moved(self) -> tuple[tuple[IntArray, float], ...]:
         """Pairs of rings and balls, and by how much a ring's force or moment is larger: J_1(x) is x/2, j_1(x) x/3."""
         return (self.rings, 1.0), (self.moments, 1.5)
 
     def compliance(
-        self, integrals: ComplexArray, kinds: Sequence[BoolArray], judged: BoolArray, decay: FloatArray
+        self, a: ComplexArray, kinds: Sequence[BoolArray], judged: BoolArray, decay: FloatArray
     ) -> tuple[ComplexArray, FloatArray]:
-        """Ports' displacement per force (n_freq, ports, ports) [m/N], and its truncation error by the series (n_freq,)
-        where ``judged`` (n_freq,).
+        """Ports' displacement per force (n_freq, ports, ports) [m/N] from A (n_freq, n, n), and its truncation error by
+        the series (n_freq,) where ``judged`` (n_freq,).
 
         That is of the worst of the ``kinds`` of entries (ports, ports), over their largest; NaN, unknown, where there
         are neighbours and no azimuthal orders for them. To judge takes four times as long as the answer itself."""
-        a, n = self.matrix(integrals), self.ports
+        n = self.ports
         out, lacking = np.empty((len(a), n, n), dtype=complex), np.zeros(len(a))
         if judged.any():
             by_order = self.by_order(a[judged])[1]
@@ -350,8 +353,9 @@ def galerkin(
     last, order = np.array([(t.last, t.order) for t in tractions], dtype=int).T
     points = np.flatnonzero([disc.radius == 0 for disc in discs])
     radii = np.array([discs[owner[i]].radius for i, _ in tilts])
-    pairs = (np.array(found, dtype=int).reshape(-1, 2).T for found in (rings, grips, tilts, moments))
-    return Galerkin(table, place, column, factor, len(discs), points, terms, last, order, radii, *pairs)
+    ring, grip, tilt, moment = (np.array(found, dtype=int).reshape(-1, 2).T for found in (rings, grips, tilts, moments))
+    return Galerkin(table, place, column, factor, len(discs), points, terms, last, order, radii, ring,
+                    grip, tilt, moment, tuple(tractions), tuple(owner))  # fmt: skip
 
 
 def _pairs(

@@ -198,7 +198,7 @@ class HankelTable:
         """Factors of :meth:`values`: J_q(kd)/(2 pi) of the distinct (q, d), (n_k, n_waves), and g of the radials,
         (n_k, n_radials)."""
         order, distance, _ = self._waves
-        return _waves(order, distance, k) / (2 * math.pi), _transforms(self.radials, k)
+        return _waves(order, distance, k) / (2 * math.pi), transforms(self.radials, k)
 
     def joined(self, waves: Numbers, transforms: Numbers) -> Numbers:
         """:meth:`values` from their factors, at the same k."""
@@ -308,7 +308,7 @@ def _bessel_size(x: FloatArray) -> FloatArray:
     return np.asarray(1 / np.sqrt(np.maximum(1.0, 0.5 * np.pi * x)))
 
 
-def _transforms(radials: tuple[Radial, ...], k: Numbers) -> Numbers:
+def transforms(radials: tuple[Radial, ...], k: Numbers) -> Numbers:
     """g(k) of all ``radials``, (n_k, n_radials)."""
     out = _filled(1.0, k, len(radials))
     for i, g in enumerate(radials):
@@ -319,7 +319,7 @@ def _transforms(radials: tuple[Radial, ...], k: Numbers) -> Numbers:
         x = k * radius
         own = [(i, g) for i, g in enumerate(radials) if g.radius == radius and g.kind not in ("point", "bell")]
         top = {kind: max((g.degree for _, g in own if g.kind == kind), default=-1) for kind in ("ball", "ring", "mean")}
-        balls, rings = _balls(top["ball"], x), _bessels(max(top["ring"], top["mean"] + 1), x)
+        balls, rings = _balls(top["ball"], x), bessels(max(top["ring"], top["mean"] + 1), x)
         for i, g in own:
             if g.kind == "mean":
                 out[:, i] = np.where(x == 0, 1.0, 2 * rings[1] / np.where(x == 0, 1.0, x))
@@ -331,14 +331,14 @@ def _transforms(radials: tuple[Radial, ...], k: Numbers) -> Numbers:
 def _waves(order: IntArray, distance: FloatArray, k: Numbers) -> Numbers:
     """J_order(k distance), (n_k, n_waves)."""
     distances, at = np.unique(distance, return_inverse=True)
-    found = _bessels(int(order.max(initial=0)), np.multiply.outer(k, distances))
+    found = bessels(int(order.max(initial=0)), np.multiply.outer(k, distances))
     out = _filled(0.0, k, order.size)
     for q in np.unique(order):
         out[:, order == q] = found[q][:, at[order == q]]
     return out
 
 
-def _bessels(top: int, x: Numbers) -> list[Numbers]:
+def bessels(top: int, x: Numbers) -> list[Numbers]:
     """J_0 ... J_top of x."""
     if np.iscomplexobj(x):
         return [np.asarray(special.jv(q, x)) for q in range(top + 1)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -16,9 +16,10 @@ from scipy.linalg import block_diag
 from ..errors import AccuracyWarning
 from ..progress import Progress, tell
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
-from .discs import UPRIGHT, Disc, Galerkin, decay_of, galerkin
+from .discs import UPRIGHT, Disc, Galerkin, changed, decay_of, galerkin
 from .integrals import LOW_LOSS, Integrals, Medium
 from .kernel import Base, Layer, Surface, check_layers
+from .tape import DEGREES, FEWER, Sheet, Tape
 
 # Smooth functions of frequency from few of their values: Chebyshev polynomials in the root of the frequency.
 
@@ -108,6 +109,7 @@ def _interpolated(x: FloatArray, nodes: FloatArray, values: ComplexArray, errors
 _TERMS = (6, 24)  # of the axisymmetric tractions under a rigid disc, least and most
 _SCATTERED = 1e-5  # what the azimuthal orders above those taken may still scatter, by the distances of the discs
 _ORDERS = (2, 6)  # of them, least and most
+_JUDGED = 5  # frequencies where a sheet's polynomials are
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,8 @@ class LayeredResult:
 
     ``quadrature``, ``truncation`` and ``interpolation`` (n_freq,) are estimated absolute errors over the largest
     |value| at that frequency: of the integrals, of the series of tractions under rigid discs (0 without any), and of
-    what lies between the frequencies that were computed. ``n_kernel``: kernel evaluations spent.
+    what lies between the frequencies that were computed; ``sheet`` is of its polynomials. ``n_kernel``: kernel
+    evaluations spent.
     """
 
     values: ComplexArray
@@ -125,11 +128,12 @@ class LayeredResult:
     truncation: FloatArray
     interpolation: FloatArray
     n_kernel: int
+    sheet: FloatArray
 
     @property
     def error(self) -> FloatArray:
         """All errors together (n_freq,)."""
-        return self.quadrature + self.truncation + self.interpolation
+        return self.quadrature + self.truncation + self.interpolation + self.sheet
 
 
 def layered_compliance(
@@ -140,6 +144,8 @@ def layered_compliance(
     *,
     base: Base = "halfspace",
     surface: Surface | None = None,
+    sheet: Sheet | None = None,
+    degrees: int = DEGREES,
     tolerance: float = 1e-6,
     terms: int | None = None,
     orders: int | None = None,
@@ -161,6 +167,8 @@ def layered_compliance(
     Parameters
     ----------
     layers : from the surface down, see :class:`Layer`; ``base`` says what carries the last.
+    surface, sheet : on all of it, and on a rectangle (:mod:`forearm_fem.layered.tape`), by ``degrees`` polynomials
+        along each side.
     omega : (n_freq,) array, > 0 [rad/s], convention e^{+i omega t}.
     tolerance : error of the integrals relative to the largest |value| at each frequency.
     terms, orders : of the tractions under rigid discs; None: as waves, layers and distances ask for. What they
@@ -190,11 +198,15 @@ def layered_compliance(
     asked[np.ix_(rows, columns)] = True
     kinds = tuple(kind for each in system.kinds() if (kind := each & (asked | asked.T)).any()) or (asked | asked.T,)
     integrals = Integrals(medium, system.table, tolerance)
-    evaluate = _Evaluation(integrals, system, discs, kinds, (rows, columns), judged, expected, progress)
+    tape = None if sheet is None else Tape(sheet, medium, system, tuple(discs), degrees)
+    evaluate = _Evaluation(integrals, system, discs, kinds, (rows, columns), judged, expected, progress, tape)
     sharp = bool(np.any(medium.loss(omega) < LOW_LOSS))  # poles near the axis: nothing smooth to follow
     found = (*evaluate(omega), np.zeros(omega.size)) if sharp else sampled(evaluate, omega, tolerance)
     values, errors, interpolation = found
     quadrature, truncation = errors.T
+    missed = np.zeros(omega.size)
+    if tape is not None:
+        missed = _missed(replace(evaluate, tape=replace(tape, count=tape.count - FEWER)), omega, values)
     if np.any(quadrature > tolerance):
         warnings.warn(f"layered: error {quadrature.max():.1e} > tolerance {tolerance:.1e}", AccuracyWarning, 2)
     if seen is not None and driven is not None:
@@ -204,7 +216,7 @@ def layered_compliance(
     alone = [[a.radius == b.radius == 0 and (a.x, a.y) == (b.x, b.y) and (a.x, a.y) in free for b in discs_in]
              for a in discs_out]  # fmt: skip
     values[:, np.array(alone, dtype=bool)] = np.nan
-    return LayeredResult(values, quadrature, truncation, interpolation, evaluate.n_kernel)
+    return LayeredResult(values, quadrature, truncation, interpolation, evaluate.n_kernel, missed)
 
 
 @dataclass
@@ -222,6 +234,7 @@ class _Evaluation:
     every: int
     expected: int
     progress: Progress | None
+    tape: Tape | None = None
     n_kernel: int = 0
     n_frequency: int = 0
 
@@ -233,9 +246,12 @@ class _Evaluation:
         judged = np.isin(np.arange(omega.size), rising[known])
         for chunk in self.integrals.chunks(omega):
             block = self.integrals.solve(omega[chunk])
+            a = self.system.matrix(block.values)
+            if self.tape is not None:
+                a = self.tape.applied(a, omega[chunk])
             waves = self.integrals.medium.wavenumbers(omega[chunk])[0].max(axis=0)
             decay = decay_of(self.discs, waves, int(self.system.order.max()))
-            found, errors[chunk, 1] = self.system.compliance(block.values, self.kinds, judged[chunk], decay)
+            found, errors[chunk, 1] = self.system.compliance(a, self.kinds, judged[chunk], decay)
             values[chunk], errors[chunk, 0] = found[:, rows][:, :, columns], block.error
             self.n_kernel += block.n_kernel
             self.n_frequency += chunk.size
@@ -244,6 +260,21 @@ class _Evaluation:
         both = errors[rising[known[above]], 1], errors[rising[known[np.maximum(above - 1, 0)]], 1]
         errors[rising, 1] = np.where(judged[rising], both[0], np.maximum(*both))
         return values, errors
+
+
+def _missed(fewer: _Evaluation, omega: FloatArray, values: ComplexArray) -> FloatArray:
+    """What ``fewer`` polynomials on a sheet change (n_freq,), relative to the largest entry among the driving discs, or
+    elsewhere, where that is more: at a few frequencies, between which the larger counts."""
+    rising = np.argsort(omega, kind="stable")
+    some = np.unique(np.linspace(0, omega.size - 1, _JUDGED).round().astype(int))
+    less = replace(fewer, every=omega.size, expected=0, progress=None)(omega[rising[some]])[0]
+    driving = np.isin(fewer.asked[0], fewer.asked[1])
+    kinds = [np.repeat(kind[:, None], values.shape[2], axis=1) for kind in (driving, ~driving) if kind.any()]
+    change = changed(values[rising[some]], less, kinds)
+    above = np.clip(np.searchsorted(some, np.arange(omega.size)), 0, some.size - 1)
+    out = np.empty(omega.size)
+    out[rising] = np.maximum(change[above], change[np.maximum(above - 1, 0)])
+    return out
 
 
 def terms_of(discs: Sequence[Disc], medium: Medium, omega: FloatArray) -> int:

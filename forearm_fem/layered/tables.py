@@ -95,7 +95,8 @@ class Tabulated:
         grip = n + np.cumsum([disc.radius > 0 for disc in kinds])[held] - 1
         at_ports = np.concatenate([rows, *(grip + each * block for block in range(blocks))]).astype(int)
         values = sampled[:, at_ports][:, :, at_ports]
-        return LayeredResult(values, np.zeros(omega.size), truncation, table + np.max(tails, axis=0), 0)
+        none = np.zeros(omega.size)
+        return LayeredResult(values, none, truncation, table + np.max(tails, axis=0), 0, none)
 
     def matrix(self, discs: Sequence[Disc]) -> tuple[Galerkin, ComplexArray]:
         """Galerkin's system of ``discs``, and its matrix (n_node, n, n) [m/N] between all their tractions."""

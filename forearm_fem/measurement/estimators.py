@@ -13,9 +13,7 @@ import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.optimize import brentq
-from scipy.signal import csd
-from scipy.signal.windows import tukey
-from scipy.stats import gamma
+from scipy.special import gammainccinv, gammaincinv
 
 from ..errors import ScenarioError
 from ..scenario import Scenario
@@ -73,6 +71,8 @@ class ExponentialSweep:
 
     def samples(self) -> FloatArray:
         """One period (n,) [V]."""
+        from scipy.signal.windows import tukey  # scipy.signal takes half a second
+
         t = np.arange(self.n) / self.sample_rate
         rate = np.log(self.f_max / self.f_min)
         phase = 2 * np.pi * self.f_min * self.duration / rate * np.expm1(rate * t / self.duration)
@@ -155,6 +155,8 @@ def spectra(drive: FloatArray, response: FloatArray, band: BoolArray, step: floa
     ``step`` [V] rounds alike in each. With one period it is taken from the bins above the band, which presumes a floor
     as even as a vibrometer's.
     """
+    from scipy.signal import csd
+
     repeats, n = response.shape
 
     def average(a: FloatArray, b: FloatArray) -> ComplexArray:
@@ -192,9 +194,8 @@ def _even(rest: FloatArray, repeats: int) -> FloatArray:
 
     An even scatter of R repeats is a gamma variable of R - 1 degrees of freedom; beyond its 1e-6 point is none.
     """
-    law = gamma(repeats - 1)
-    typical = median_filter(rest, min(_AROUND, len(rest)), mode="reflect") / law.median()
-    out = rest > law.isf(1e-6) * typical
+    typical = median_filter(rest, min(_AROUND, len(rest)), mode="reflect") / gammaincinv(repeats - 1, 0.5)
+    out = rest > gammainccinv(repeats - 1, 1e-6) * typical
     even = uniform_filter1d(np.where(out, typical * (repeats - 1), rest), _SMOOTH, mode="nearest")
     return np.asarray(np.maximum(np.where(out, np.maximum(rest, even), even), 0))
 

@@ -8,6 +8,7 @@ import math
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,9 @@ def load_scenario(path: str | Path, *, overrides: Sequence[str] = ()) -> Scenari
             f"expected a scenario's file or name, got a {type(path).__name__}; parse_scenario takes tables"
         )
     file = scenario_file(path)
-    table = read_toml(file, f"no such file; by name there are {', '.join(shipped_scenarios())}")
+    known = shipped_scenarios()
+    meant = "".join(f"; did you mean {name}?" for name in get_close_matches(str(path), known, 1))
+    table = read_toml(file, f"no such file{meant}; by name there are {', '.join(known)}")
     if "scenario" in table:
         raise ScenarioError(
             f"{file}: names a scenario, so it is a file for `forearm-fem design`, `campaign` or `study`; give it to "
@@ -69,7 +72,7 @@ def read_overrides(overrides: Sequence[str], option: str = "--set") -> dict[str,
     for item in overrides:
         key, separator, text = item.partition("=")
         if not separator or not key.strip():
-            example = "device.spacing=0.040" if option == "--set" else "unit='mm/V'"
+            example = "device.spacing=40mm" if option == "--set" else "unit='mm/V'"
             raise ScenarioError(f"{option} expects key.path=value, got '{item}'; e.g. {option} \"{example}\"")
         result[key.strip()] = _value(key.strip(), text.strip())
     return result
@@ -99,7 +102,8 @@ def _value(key: str, text: str) -> Any:
             return float(f"{float(number) * _MASS[given]:.15g}")
         if unit == "rad" and given == "deg":
             return math.radians(float(number))
-        raise ScenarioError(f"{key}: expected a number in {unit}, or with a prefix such as m or k, got '{text}'")
+        example = "0.04 or 40mm" if unit == "m" else f"5 or 5{unit}"
+        raise ScenarioError(f"{key}: expected a number in {unit}, e.g. {example}, got '{text}'")
     return value
 
 

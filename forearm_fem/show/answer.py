@@ -11,7 +11,7 @@ import numpy as np
 
 from ..metrics.strength import strength_text
 from ..ports import positions
-from ..rendering.drives import not_counted_words
+from ..rendering.drives import not_counted_words, rim_gaps
 from ..scenario import Scenario
 from ..scenario.shipped import shipped_scenarios
 from .data import Results
@@ -19,6 +19,7 @@ from .facts import _device, _grid, accuracy_words, capital, limb_words
 from .judge import Strengths, strengths
 from .track import track_record
 
+_NEAR = 3e-3  # m: beyond the clearance, from a motor's rim to a point that counts
 _SURE = 0.005  # relative half width below which an interval is not worth its room
 
 
@@ -94,6 +95,8 @@ def answer_of(results: Results, data: Strengths) -> list[str]:
         said.append(f"S of {best.method} is unknown at {_named(best.unknown)}.")
     if left_out := not_counted(results, data):
         said.append(f"{capital(left_out)}.")
+    if near := just_counted(results, data):
+        said.append(near)
     return said
 
 
@@ -101,6 +104,23 @@ def not_counted(results: Results, data: Strengths) -> str:
     """Points in no mean and no verdict, and why; empty where all count."""
     names = [t for t, counts in zip(data.targets, data.counted, strict=True) if not counts]
     return not_counted_words(names, data.outputs, results.touching, results.scenario.rendering.clearance)
+
+
+def just_counted(results: Results, data: Strengths) -> str:
+    """Sentence on points that count by less than :data:`_NEAR`, with the mean S of the best method without them; empty
+    where all lie further off."""
+    margin = rim_gaps(data.outputs, results.touching) - results.scenario.rendering.clearance
+    near = data.counted & (margin < _NEAR)
+    if not near.any():
+        return ""
+    low, high = (f"{1e3 * max(float(end), 0.0):.1f}" for end in (margin[near].min(), margin[near].max()))
+    names = _named([t for t, n in zip(data.targets, near, strict=True) if n])
+    best = method_answers(data)[0].method
+    others = data.values[data.methods.index(best), data.counted & ~near]
+    verb, them = ("counts", "it") if near.sum() == 1 else ("count", "them")
+    mean = f"; without {them} mean S of {best} is {others.mean():.2f}" if len(others) else ""
+    by = low if low == high else f"{low} to {high}"
+    return f"{capital(names)} {verb} by {by} mm: a motor is near, which raises S{mean}."
 
 
 def _named(points: Sequence[str]) -> str:

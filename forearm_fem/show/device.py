@@ -13,7 +13,7 @@ from ..device import driving_point_impedance, respond
 from ..rendering.drives import limits_of
 from ..typing import FloatArray
 from .data import Results
-from .style import ACTUATORS, COLUMN, GREY, LINES, PAGE, decimal, letter, method_colour, sheet, styled
+from .style import ACTUATORS, COLUMN, GREY, LINES, PAGE, decimal, letter, method_look, sheet, styled
 
 
 def impedance(results: Results) -> xr.Dataset:
@@ -124,7 +124,8 @@ def _by_target(ax: Axes, values: xr.DataArray, limit: float, label: str) -> None
     methods, place = list(values.method.values), np.arange(values.sizes["target"])
     for m, method in enumerate(methods):
         shift = 0.2 * (m - (len(methods) - 1) / 2)
-        ax.plot(place + shift, values[m], "o", color=method_colour(method, methods), label=method)
+        colour, marker, _ = method_look(method, methods)
+        ax.plot(place + shift, values[m], marker, color=colour, label=method)
     ax.set_xticks(place, list(values.target.values))
     known = values.values[np.isfinite(values.values)]  # none of powers where the drive is no voltage
     ax.set(xlabel="target", ylabel=label, yscale="log" if len(known) and known.min() > 0 else "linear")

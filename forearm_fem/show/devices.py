@@ -23,7 +23,7 @@ from ..results.draws import DRAWS_FILE, DrawsFile
 from ..store.record import load
 from ..transfer import total_error
 from ..typing import BoolArray, FloatArray
-from .answer import MethodAnswer, asked_of, interval_words, method_answers, not_counted, subject_of
+from .answer import MethodAnswer, asked_of, interval_words, just_counted, method_answers, not_counted, subject_of
 from .data import Results
 from .facts import accuracy_words
 from .judge import Strengths, plot_strength_map, strengths
@@ -142,7 +142,8 @@ def answer_lines(found: Devices) -> list[str]:
     for d in found.ranked:
         reached = f"{d.name} focuses (S > 1) at {len(d.best.focused)} of {len(d.data.targets)} points ({d.best.method})"
         left_out = not_counted(d.results, d.data)
-        said.append(f"{reached}{'; ' if left_out else ''}{left_out}.")
+        near = just_counted(d.results, d.data)
+        said.append(f"{reached}{'; ' if left_out else ''}{left_out}.{' ' if near else ''}{near}")
     if found.shared is None:
         said.append("The grids differ, so S is compared as a whole only: lay the same points for both.")
     elif found.shared.any():

@@ -199,6 +199,41 @@ def renderer_block(results: Results) -> Block:
     return Block(header, rows, "Ranges are over the targets. Everything is linear: scaled drives scale all alike.")
 
 
+def play_block(results: Results, methods: Sequence[str]) -> Block:
+    """What to play: per target and method the peak on each actuator, when and how far the target moves, and room."""
+    drives, moved, limits = results.drives, results.displacements, limits_of(results.scenario.device)
+    rows = []
+    for t, target in enumerate(drives.targets):
+        own = np.nan_to_num(moved.values[:, t, moved.channels.index(target)])
+        for m in (drives.methods.index(name) for name in methods):
+            signals = drives.values[m, t]
+            peaks = signals[np.arange(len(signals)), np.abs(signals).argmax(axis=1)]
+            at = int(np.abs(own[m]).argmax())
+            room = "–"
+            if drives.unit == "V" and limits is not None and signals.any():
+                power = float(np.mean(signals**2, axis=1).max()) / limits.resistance
+                room = f"{min(limits.voltage / np.abs(peaks).max(), math.sqrt(limits.power / power)):.3g} times"
+            rows.append([target, drives.methods[m], *(f"{p:.3g}".replace("-", "\N{MINUS SIGN}") for p in peaks),
+                         f"{1e6 * abs(own[m, at]):.2g} µm", f"{1e3 * moved.time[at]:.1f} ms", room])  # fmt: skip
+    header = ["target", "method", *(f"{name} [{drives.unit}]" for name in drives.channels), "target moves",
+              "its peak after t = 0", "room to a limit"]  # fmt: skip
+    return Block(header, rows, "Largest value of each drive, with its sign; t = 0 is the wavelet's centre. Whole "
+                               "signals: drives.nc.")  # fmt: skip
+
+
+def band_words(results: Results) -> str:
+    """Sentence on what the band of G cuts from the wavelet; empty where that is less than 1 % of its energy."""
+    f, g = results.record.frequency, results.transfer.frequency
+    inside = (f >= g[0] - 1e-6) & (f <= g[-1] + 1e-6)
+    spectrum = results.wavelet.spectrum
+    energy = float(np.sum(np.abs(spectrum[inside]) ** 2) / np.sum(np.abs(spectrum) ** 2))
+    peak = float(np.sum(spectrum[inside].real) / np.sum(spectrum.real))
+    if energy > 0.99:
+        return ""
+    return (f"G's band, {g[0]:g} to {g[-1]:g} Hz, cuts the wavelet: {100 * energy:.2g} % of its energy and "
+            f"{100 * peak:.2g} % of its peak lie inside; what moves is longer and smaller than asked for.")  # fmt: skip
+
+
 def limit_words(results: Results) -> str:
     """Sentence on drives against the limits of the actuators."""
     drives, limits = results.drives, limits_of(results.scenario.device)
@@ -286,20 +321,24 @@ def by_target_block(results: Results) -> Block:
 
 
 def differences(results: Results) -> list[str]:
-    """A sentence for each entry of Table I that differs by more than the thesis' own spread and our interval."""
+    """A sentence for each entry of Table I that differs by more than the thesis' own spread and our interval, and one
+    on those that agree."""
     data = strengths(results)
     if not is_thesis_grid(results.transfer.outputs):
         return []
     ours, theirs = data.table(), thesis_table()
     error = _group_error(data)
-    lines = []
+    lines, alike = [], []
     for g, group in enumerate(ours.groups):
         for m, method in enumerate(ours.methods):
             if group in theirs.groups and method in theirs.methods:
                 at = (theirs.groups.index(group), theirs.methods.index(method))
-                lines.append(_difference(group, method, float(ours.mean[g, m]), float(theirs.mean[at]),
-                                         float(theirs.std[at]), error.get((group, method))))  # fmt: skip
-    return [line for line in lines if line]
+                here, there = float(ours.mean[g, m]), float(theirs.mean[at])
+                line = _difference(group, method, here, there, float(theirs.std[at]), error.get((group, method)))
+                lines += [line] if line else []
+                alike += [] if line else [f"{group}, {method} ({here:.2f} here, {there:.2f} in the thesis)"]
+    said = [f"Alike within the thesis' spread and our interval, or 5 %: {'; '.join(alike)}."] if alike else []
+    return [*lines, *said]
 
 
 def _group_error(data: Strengths) -> dict[tuple[str, str], float]:

@@ -26,9 +26,8 @@ from ..progress import Progress, tell
 from ..store.folder import atomic_path
 from ..typing import FloatArray, IntArray
 from .data import Results
-from .motion import Motion, View, default_times, focus_time, motion, round_down_125, shown_values
+from .motion import Motion, View, default_times, focus_time, motion, shown_values
 from .scene import (
-    FONT,
     MM,
     NAMED,
     add_bones,
@@ -36,13 +35,14 @@ from .scene import (
     add_grid,
     add_scale_bar,
     cones_of,
+    font_file,
     on_picture,
     plotter_for,
     surface_grid,
     trimmed,
     volume_grid,
 )
-from .style import COLUMN, INK, PAGE, SIGNED, SIZE, minus, panels, sheet, styled
+from .style import COLUMN, INK, PAGE, SIGNED, SIZE, minus, panels, round_down_125, sheet, styled
 
 __all__ = ["Look", "animate", "plot_wavefield", "wavefield"]
 
@@ -190,7 +190,7 @@ class Stage:
         if not self.silent:
             self.plotter.add_text(
                 minus("\n".join(self.words(step))), position="upper_left", font_size=10, color="black", name="words",
-                font_file=FONT,
+                font_file=font_file(),
             )  # fmt: skip
 
     def beyond(self, step: int) -> bool:
@@ -235,7 +235,7 @@ def staged(results: Results, plotter: Any, moved: Motion, look: Look, whole: Mot
         add_bones(plotter, results.mesh)
     add_scale_bar(plotter, _scale_bar(ports), named=named)
     if named:
-        plotter.add_text(results.stamp, position="upper_right", font_size=6, color="gray", font_file=FONT)
+        plotter.add_text(results.stamp, position="upper_right", font_size=6, color="gray", font_file=font_file())
     _aim(plotter, results, look)
     return stage
 

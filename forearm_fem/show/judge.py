@@ -23,7 +23,7 @@ from ..store.text import markdown_table
 from ..transfer import size_words
 from ..typing import BoolArray, FloatArray
 from .data import Results, places
-from .style import ACTUATORS, COLUMN, GREY, INK, PAGE, method_colour, sheet, single, styled, widen
+from .style import ACTUATORS, COLUMN, GREY, INK, PAGE, method_look, sheet, single, styled, widen
 
 TABLE_ONE = ("place", "method", "here", "record", "thesis")  # S over the window, over the whole record, and measured
 
@@ -258,18 +258,20 @@ _TABLE_SAYS = (
 
 
 def table_one_extra(data: xr.Dataset) -> dict[str, str]:
-    """The table as Markdown and as a LaTeX ``tabular`` with the rules of ``booktabs``, beside the figure."""
+    """The table as Markdown and as a LaTeX ``table`` with its caption and the rules of ``booktabs``."""
     bounds = zip(data.low.values[..., 0].ravel(), data.high.values[..., 0].ravel(), strict=True)
     numerics = [f"{a:.2f} to {b:.2f}" if np.isfinite(a) and np.isfinite(b) else "unknown" for a, b in bounds]
     rows, shown = [[*row, n] for row, n in zip(table_one_rows(data), numerics, strict=True)], ""
     named_columns = (*TABLE_ONE, "numerics")
-    lines = [*(f"% {line}" for line in (r"needs \usepackage{booktabs}", *_TABLE_SAYS)), r"\begin{tabular}{llcccc}",
-             r"\toprule", " & ".join(named_columns) + r" \\", r"\midrule"]  # fmt: skip
+    said = " ".join(_TABLE_SAYS).replace("S by place: mean and", r"Signal strength $S$ by place: mean $\pm$")
+    lines = [r"% needs \usepackage{booktabs}", r"\begin{table}", r"\centering", rf"\caption{{{said}}}",
+             r"\label{tab:signal-strength}", r"\begin{tabular}{llcccc}", r"\toprule",
+             " & ".join(named_columns) + r" \\", r"\midrule"]  # fmt: skip
     for place, method, *numbers in rows:
         named, shown = place if place != shown else "", place
         cells = (named, method, *(n.replace("±", r"$\pm$").replace("–", "--").replace("%", r"\%") for n in numbers))
         lines.append(" & ".join(cells) + r" \\")
-    latex = "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+    latex = "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
     return {"table.md": markdown_table(named_columns, rows) + "\n" + " ".join(_TABLE_SAYS) + "\n", "table.tex": latex}
 
 
@@ -304,11 +306,12 @@ def _points(ax: Axes, data: xr.Dataset, columns: int) -> None:
     methods, place = list(data.method.values), np.arange(data.sizes["group"], dtype=float)
     for m, method in enumerate(methods):
         x = place + 0.24 * (m - (len(methods) - 1) / 2)
-        look: dict[str, Any] = {"color": method_colour(method, methods), "capsize": 2, "lw": 0.8, "ls": "none"}
+        colour, marker, _ = method_look(method, methods)
+        look: dict[str, Any] = {"color": colour, "fmt": marker, "capsize": 2, "lw": 0.8, "ls": "none"}
         for side, aside, words, face in ((TABLE_ONE[2], -0.04, "here", None), (TABLE_ONE[4], 0.04, "thesis P2", "w")):
             mean, std = (data[what].isel(method=m).sel(side=side).values for what in ("mean", "std"))
             if np.isfinite(mean).any():
-                ax.errorbar(x + aside, mean, np.nan_to_num(std), fmt="o", mfc=face, label=f"{method}, {words}", **look)
+                ax.errorbar(x + aside, mean, np.nan_to_num(std), mfc=face, label=f"{method}, {words}", **look)
     ax.axhline(1, color=GREY, lw=0.8, ls="--")
     if data.window:
         over = data.window.replace("-", "\N{MINUS SIGN}") if data.window != "record" else "the whole record"

@@ -15,9 +15,9 @@ from ..typing import FloatArray
 from .data import Results, places
 from .device import active_span
 from .matrix import shown, unwrapped, zero_points
-from .style import ACTUATORS, COLUMN, GREY, INK, MICRO, PAGE, sheet, styled, widen
+from .style import ACTUATORS, COLUMN, GREY, INK, MICRO, PAGE, sheet, styled
 
-_POINT, _MOTOR = "#D55E00", "#A3467E"
+_TARGET, _POINT, _MOTOR = "#D55E00", INK, ACTUATORS[0]
 
 
 def method(results: Results) -> xr.Dataset:
@@ -76,18 +76,20 @@ def _entry(figure: Any, data: xr.Dataset, wide: bool) -> None:
     shape: dict[str, Any] = {"width_ratios": (0.9, 1, 1, 1.1)} if wide else {"height_ratios": (1, 1)}
     where, drive, response, entry = figure.subplots(*((1, 4) if wide else (2, 2)), **shape).ravel()
     point, motor = str(data.output.values[0]), str(data.input.values[0])
-    for side, mark, colour in (("output", "o", _POINT), ("input", "s", _MOTOR)):
+    aim = [_TARGET if name == data.control.values[0] else GREY for name in data.output.values]
+    motors = [ACTUATORS[k % 6] for k in range(data.sizes["input"])]
+    for side, mark, edges in (("output", "o", [_POINT, *aim[1:]]), ("input", "s", motors)):
         at = 1e3 * data[f"{side}_place"].values
-        where.scatter(at[:, 0], at[:, 1], c=[colour, *["w"] * (len(at) - 1)], marker=mark, s=70, edgecolors=colour)
+        where.scatter(at[:, 0], at[:, 1], c=[edges[0], *["w"] * (len(at) - 1)], marker=mark, s=70, edgecolors=edges)
         for k, (spot, name) in enumerate(zip(at, data[side].values, strict=True)):
             where.annotate(name, spot[:2], ha="center", va="center", fontsize=5, color=INK if k else "w")
-    where.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="device")
-    where.margins(0.15)
-    widen(where)
+    where.margins(0.3)
+    where.set_aspect("equal", adjustable="datalim")
+    where.set(xlabel="x [mm]", ylabel="y [mm]", title="device")
     drive.plot(data.sweep_time, data.sweep, color=_MOTOR, lw=0.3, rasterized=True)
-    drive.set(xlabel="time [s]", ylabel=f"[{data.sweep.units}]", title=f"sweep to {motor}")
+    drive.set(xlabel="time [s], repeated", ylabel=f"[{data.sweep.units}]", title=f"sweep to {motor}")
     response.plot(data.sweep_time, MICRO * data.response, color=_POINT, lw=0.3, rasterized=True)
-    response.set(xlabel="time [s]", ylabel="[µm]", title=f"response of point {point}")
+    response.set(xlabel="time [s], repeated", ylabel="[µm]", title=f"response of point {point}")
     entry.plot(data.frequency, MICRO * np.abs(data.entry), color=INK)
     entry.set(xlabel="frequency [Hz]", ylabel=f"[µ{data.entry.units}]", title=f"|G| and phase, {point} ← {motor}")
     phase = entry.twinx()
@@ -103,14 +105,14 @@ def _entry(figure: Any, data: xr.Dataset, wide: bool) -> None:
 def _filter(figure: Any, data: xr.Dataset, rows: int, wide: bool) -> None:
     controls, motors = ([str(n) for n in data[side].values] for side in ("control", "input"))
     kinds = [f"{'zero' if k else 'target'} {name}" for k, name in enumerate(controls)]
-    shades = [INK if k else _POINT for k in range(len(controls))]
+    shades = [INK if k else _TARGET for k in range(len(controls))]
     colours = [ACTUATORS[k % 6] for k in range(len(motors))]
     for part, values, names, unit, title, shade in zip(
         figure.subfigures(1, 3, squeeze=False)[0],
         (MICRO * data.wanted, data.drive, MICRO * data.reached),
         (kinds, motors, kinds),
         ("µm", data.drive.units, "µm"),
-        ("wanted", "drives, $S = H^{+} U$", "reached"),
+        (r"$\mathbf{e}$   wanted", r"$\mathbf{f}$   drives, $G^{+}$ wanted", r"$\mathbf{g}$   reached"),
         (shades, colours, shades),
         strict=True,
     ):
@@ -130,5 +132,5 @@ def _filter(figure: Any, data: xr.Dataset, rows: int, wide: bool) -> None:
         last = axes[min(len(names), rows) - 1]
         last.set_xlabel("time [ms]")
         last.tick_params(labelbottom=True)
-        words = f"{title}, own scale" if title == "reached" else title
+        words = f"{title}, own scale" if "reached" in title else title
         part.suptitle(words if wide else f"{title} [{unit}]", fontsize=8 if wide else 7)

@@ -141,9 +141,3 @@ def shown_values(displacement: FloatArray, normals: FloatArray, quantity: Quanti
     if quantity == "magnitude":
         return np.asarray(np.linalg.norm(displacement, axis=1))
     return np.asarray(np.einsum("ij,ij->i", displacement, normals))
-
-
-def round_down_125(value: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that does not exceed ``value``."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(max(p for p in (1, 2, 5) if p * power <= value * (1 + 1e-9)) * power)

@@ -11,8 +11,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from ..store.folder import write_text
+from ..usercode import is_code
 from .page import Block, Page, Section, as_csv, embedded
-from .style import GREY, INK, SIGNED, Drawn, letter, method_colour, panels, styled
+from .style import GREY, INK, SIGNED, Drawn, letter, method_look, panels, styled
 from .track import track_record
 
 # Figures of a prediction: bands of S over arms, which method wins, and what drives S.
@@ -52,7 +53,7 @@ def plot_bands(data: Mapping[str, Any]) -> Figure:
     figure = panels((6.6, 1.0 + 1.35 * len(methods)))
     axes = np.atleast_1d(figure.subplots(len(methods), 1, sharex=True, sharey=True))
     for m, (axes_m, method) in enumerate(zip(axes, methods, strict=True)):
-        colour = method_colour(method, methods)
+        colour = method_look(method, methods).colour
         for t, target in enumerate(targets):
             cell = data["by_target"][method][target]
             q5, q25, q50, q75, q95 = cell["arms"]
@@ -86,7 +87,8 @@ def plot_wins(data: Mapping[str, Any]) -> Figure:
     below = np.zeros(len(targets))
     for method in methods:
         share = np.array([100 * data["by_target"][method][t]["wins"] for t in targets])
-        axes.bar(targets, share, 0.7, below, color=method_colour(method, methods), label=method)
+        colour, _, hatch = method_look(method, methods)
+        axes.bar(targets, share, 0.7, below, color=colour, hatch=hatch, edgecolor="w", lw=0.5, label=method)
         below += share
     axes.set(xlabel="target", ylabel="arms in which it wins [%]", ylim=(0, 100))
     axes.legend(ncols=len(methods), loc="lower center", bbox_to_anchor=(0.5, 1.0))
@@ -266,7 +268,9 @@ def _numerics(data: Mapping[str, Any]) -> str:
 
 
 def _scope(data: Mapping[str, Any]) -> list[str]:
-    laws = f"Laws of the tissues, equally likely: {', '.join(data['laws'])}."
+    named = [law.rpartition(":")[2] if is_code(law) else law for law in data["laws"]]  # a class by its own name
+    laws = f"Law{'s' if len(named) > 1 else ''} of the tissues{', equally likely' if len(named) > 1 else ''}: "
+    laws += f"{', '.join(named)}."
     if "tissue" in data["held"]:
         laws = "Tissues and their laws: the scene's own in every arm."
     elif kept := data.get("kept_tissues"):

@@ -23,7 +23,7 @@ from . import device, film, judge, matrix, mesh, methods, targets, waves
 from .answer import beside_thesis
 from .data import Results
 from .page import as_csv, tables
-from .style import SHEET, WIDTHS, Drawn, arrange, clear_legends, figure_of, sign
+from .style import SHEET, WIDTHS, Drawn, arrange, clear_legends, figure_of, lettering, sign
 
 FORMATS = ("png", "pdf", "svg")
 _DPI = 300
@@ -127,14 +127,15 @@ def make_figures(
     *,
     width: int | None = None,
     footer: bool = True,
+    font: str = "",
 ) -> list[Path]:
     """Make the figures of a results folder with their numbers as CSV, and return all files written.
 
     ``out_dir`` defaults to ``figures`` inside the folder; ``only`` are names from :func:`kinds`; ``formats`` any of
     png, pdf and svg; ``width`` one of :data:`.style.WIDTHS` [mm], exactly; ``footer`` False
-    leaves out the line on scene and version. Files appear whole or not at all. Figures that do not apply to the run are
-    left out unless named. Raises DataError for an unfinished folder, an unknown name or format, and a folder that
-    cannot be written.
+    leaves out the line on scene and version; ``font`` is one that the machine has, default DejaVu Sans. Files appear
+    whole or not at all. Figures that do not apply to the run are left out unless named. Raises DataError for an
+    unfinished folder, an unknown name, format or font, and a folder that cannot be written.
     """
     results = results_dir if isinstance(results_dir, Results) else Results.open(results_dir)
     chosen = _chosen(results, only)
@@ -142,7 +143,8 @@ def make_figures(
         raise DataError(f"'{bad[0]}' is no format for figures; choose among {', '.join(FORMATS)}")
     if width is not None and width not in WIDTHS:
         raise DataError(f"figures are {' or '.join(map(str, WIDTHS))} mm wide for a journal, not {width}")
-    folder = Path(out_dir) if out_dir is not None else results.folder / "figures"
+    with lettering(font):  # refused before the work
+        folder = Path(out_dir) if out_dir is not None else results.folder / "figures"
     try:  # fails before the work rather than after it
         write_text(folder / ".writable", "")
         (folder / ".writable").unlink()
@@ -152,7 +154,8 @@ def make_figures(
     for done, kind in enumerate(chosen):
         tell(progress, "figures", done, len(chosen))
         try:
-            written += make_figure(kind, results, folder, formats, width, footer=footer)
+            with lettering(font):
+                written += make_figure(kind, results, folder, formats, width, footer=footer)
         except NotApplicable as problem:
             if only is not None:
                 raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -28,16 +29,18 @@ from ..typing import FloatArray
 from . import facts
 from .answer import (
     answer_of,
+    asked_of,
     beside_thesis,
     headline,
     interval_words,
+    is_measured,
     method_answers,
     next_steps,
     subject_of,
     trust_of,
 )
 from .data import Results
-from .film import plot_wavefield, wavefield
+from .film import Look, plot_wavefield, wavefield
 from .judge import ERRORS, Strengths, plot_strength_map, strengths
 from .motion import View
 from .page import Block, Page, Picture, Section, embedded
@@ -120,6 +123,7 @@ _MEANING = (
     "out. White is 1, orange more, purple less."
 )
 
+_STILL = (1500, 938)  # pixels: as many as the page shows; those of the figure take a second longer
 _TRACES = "The target solid, the other points dotted; each method has a scale of its own."
 
 
@@ -154,7 +158,8 @@ def run_page(results: Results, progress: Progress | None = None) -> Page:
         Section("waves", f"Waves towards point {shown_target(data)}", pictures=[*stills, *traces],
                 paragraphs=[_TRACES] if traces else [], bullets=drawn.missing),
         Section("drives", "Drives against limits", facts.renderer_block(results),
-                paragraphs=[facts.limit_words(results)]),
+                paragraphs=[p for p in (facts.limit_words(results), facts.band_words(results)) if p]),
+        *to_play(results, data),
         Section("next", "What to do next", commands=next_steps(results, data)),
         Section("thesis", "Beside the thesis' Table I", thesis, bullets=facts.differences(results) if thesis else (),
                 folded=True),
@@ -171,6 +176,20 @@ def run_page(results: Results, progress: Progress | None = None) -> Page:
     title = f"{results.scenario.name}: {headline(data)}"
     return Page(title, [*answer_of(results, data), trust_of(results, data)], sections, results.stamp,
                 subject_of(results))  # fmt: skip
+
+
+def to_play(results: Results, data: Strengths) -> list[Section]:
+    """What to play on the rig that measured G: the best method's drives, and the others' folded."""
+    if not is_measured(results):
+        return []
+    best, *others = (a.method for a in method_answers(data))
+    line = (f"forearm-fem daq play {asked_of(results)} {shlex.quote(str(results.folder))} --method {shlex.quote(best)} "
+            f"--target {shown_target(data)} --daq ni")  # fmt: skip
+    return [
+        Section("play", f"What to play: {best}", facts.play_block(results, [best]), commands=[("Play it", line)]),
+        *([Section("play-others", "What to play by the other methods", facts.play_block(results, others), folded=True)]
+          if others else []),
+    ]  # fmt: skip
 
 
 class _Drawn:
@@ -246,5 +265,5 @@ def _figure(results: Results, name: str) -> Picture:
 def _still(results: Results, data: Strengths) -> Picture:
     best = method_answers(data)[0].method
     view = View(best, shown_target(data))
-    drawn = plot_wavefield(wavefield(results, view=view))
+    drawn = plot_wavefield(wavefield(results, view=view, look=Look(size=_STILL)))
     return embedded(drawn, f"The skin at the moment of focus: {best}, {_said(data, best)}")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
-from matplotlib.font_manager import findfont
+from matplotlib.font_manager import FontProperties, findfont
 from vtkmodules.vtkCommonCore import vtkLogger  # of `import vtk`, which takes seconds to load everything
 from vtkmodules.vtkRenderingCore import vtkCoordinate
 
@@ -20,7 +20,6 @@ from ..typing import FloatArray, IntArray
 from .style import INK, TISSUES
 
 MM = 1e3
-FONT = findfont("DejaVu Sans")  # the figures', for VTK
 NAMED = 25  # points that have room for their names
 _TETRA = 10  # VTK's number of the cell
 _ACTUATOR_HEIGHT, _ACTUATOR_RADIUS = 9.85e-3, 7e-3  # TEAX14C02-8, physics_data.md 4
@@ -106,11 +105,16 @@ def add_grid(
         add_labels(plotter, at + np.array([0, 0, 1.2]), [p.name for p in points], size=17)
 
 
+def font_file() -> str:
+    """The figures' font, for VTK."""
+    return str(findfont(FontProperties()))
+
+
 def add_labels(plotter: Any, places: FloatArray, names: Sequence[str], *, size: int) -> None:
     """Names that are never hidden behind what they name."""
     plotter.add_point_labels(
         np.asarray(places, dtype=float), list(names), font_size=size, text_color="black", shape=None,
-        show_points=False, always_visible=True, bold=False, font_file=FONT,
+        show_points=False, always_visible=True, bold=False, font_file=font_file(),
     )  # fmt: skip
 
 

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from difflib import get_close_matches
 from functools import wraps
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
-from matplotlib import colormaps, style
+from matplotlib import colormaps, rc_context, style
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.font_manager import findSystemFonts, fontManager
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from ..errors import DataError
 
 # The look of every figure: style sheet, colours, canvases and the line that says where it came from.
 
@@ -30,7 +36,6 @@ METHODS = {"inverse filter": "#0072B2", "funneling": "#D55E00", "combination": "
 TISSUES = {"skin": "#E8B4A0", "fat": "#F2DE9B", "muscle": "#A84B4B", "bone": "#DAD7CB"}
 SIGNED, SIZE = "RdBu_r", "cividis"
 NEARNESS = LinearSegmentedColormap.from_list("nearness", colormaps["viridis_r"](np.linspace(0.18, 1, 256)))  # no yellow
-_NO_LAYOUT = {"figure.autolayout": False, "figure.constrained_layout.use": False}  # what no engine means
 MICRO = 1e6  # what displacements are drawn times: in micrometres, their unit by :func:`micro`
 
 
@@ -71,7 +76,7 @@ def figure_of(drawn: Drawn) -> Figure:
 def arrange(figure: Figure) -> None:
     """Lay ``figure`` out once and for all; saving it does so, and draws it, twice for each file otherwise."""
     if (layout := figure.get_layout_engine()) is not None:
-        with style.context((SHEET, _NO_LAYOUT)):
+        with style.context(SHEET):
             layout.execute(figure)
             figure.set_layout_engine(None)
 
@@ -80,15 +85,49 @@ def sign(figure: Figure, source: str) -> None:
     """``source`` in small grey letters at the foot of ``figure``, below everything else."""
     height = 0.16 / figure.get_figheight()
     engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.set(rect=(0, height, 1, 1 - height))  # type: ignore[call-arg]
+    if isinstance(engine, ConstrainedLayoutEngine):
+        engine.set(rect=(0, height, 1, 1 - height))
     figure.text(0.005, 0.25 * height, source, fontsize=5.5, color=GREY, ha="left", va="bottom")
 
 
-def method_colour(name: str, all_names: Sequence[str]) -> str:
-    """The method's own colour; unknown methods take the next ones of the actuators' cycle."""
-    spare = [c for c in ACTUATORS if c not in METHODS.values()]
-    return METHODS.get(name) or spare[list(all_names).index(name) % len(spare)]
+class MethodLook(NamedTuple):
+    """Colour, marker and hatch of a method: known on paper without colours, too."""
+
+    colour: str
+    marker: str
+    hatch: str
+
+
+def method_look(name: str, all_names: Sequence[str]) -> MethodLook:
+    """The method's own look; unknown methods take the next ones, their colours of the actuators' cycle."""
+    order = [*METHODS, *(n for n in all_names if n not in METHODS)]
+    colours = [*METHODS.values(), *(c for c in ACTUATORS if c not in METHODS.values())]
+    place = order.index(name)
+    return MethodLook(colours[place % len(colours)], "os^Dv"[place % 5], ("", "////", "....", "xx")[place % 4])
+
+
+@contextmanager
+def lettering(font: str = "") -> Iterator[None]:
+    """Letters of ``font`` within, default the style sheet's; DataError unless the machine has it.
+
+    Signs that it lacks come from the default.
+    """
+    if not font:
+        yield
+        return
+    if font not in fontManager.get_font_names():  # matplotlib lists fonts once, and some come later
+        for path in findSystemFonts():
+            with suppress(Exception):  # of a kind that matplotlib cannot read
+                fontManager.addfont(path)
+    if font not in (known := fontManager.get_font_names()):
+        raise DataError(
+            f"no font is called '{font}' on this machine; install it, or name one that is, e.g. "
+            f"{', '.join(get_close_matches(font, known, 3, 0.3) or known[:3])}"
+        )
+    with rc_context({"font.family": [font, "DejaVu Sans"], "mathtext.fontset": "custom", "mathtext.rm": font,
+                     "mathtext.it": f"{font}:italic", "mathtext.bf": f"{font}:bold",
+                     "mathtext.cal": font}):  # fmt: skip
+        yield
 
 
 def widen(ax: Axes, least: float = 0.35) -> None:
@@ -160,3 +199,9 @@ def decimal(axis: Axis) -> None:
     axis.set_major_locator(LogLocator(10, subs))
     axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}".replace("-", "\N{MINUS SIGN}")))
     axis.set_minor_formatter(NullFormatter())
+
+
+def round_down_125(value: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that does not exceed ``value``."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(p for p in (1, 2, 5) if p * power <= value * (1 + 1e-9)) * power)

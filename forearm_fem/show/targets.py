@@ -1,7 +1,8 @@
-"""Figures 6 and 7: for a target, the surface at six instants and the grid points over time."""
+"""Figures 6 and 7: for a target, the surface at some instants and the grid points over time."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -21,7 +22,21 @@ from ..typing import ComplexArray, FloatArray
 from .data import Results, places, record_of
 from .device import active_span
 from .patch import volar_patch
-from .style import COLUMN, FAINT, GREY, INK, MICRO, PAGE, SIGNED, method_colour, sheet, single, styled
+from .style import (
+    COLUMN,
+    FAINT,
+    GREY,
+    INK,
+    MICRO,
+    PAGE,
+    SIGNED,
+    method_look,
+    minus,
+    round_down_125,
+    sheet,
+    single,
+    styled,
+)
 
 _INSTANTS = 6
 _FLAT = 1e-3  # of the grid's size: points that are no further off a line span no surface
@@ -139,69 +154,150 @@ def drive_series(drives: Signals, method: str, target: str, field: Wavefield, *,
     return np.asarray(spectrum[:, index] * record.df)
 
 
+@dataclass(frozen=True)
+class _Sheet:
+    """Places [mm] of a figure's axes, from its upper left; each kind of axes has one left edge for all methods."""
+
+    wide: bool
+    rows: int
+    shown: int
+    methods: int
+
+    @property
+    def width(self) -> int:
+        """Of the figure."""
+        return PAGE if self.wide else COLUMN
+
+    @property
+    def size(self) -> float:
+        """Of a map, which is square."""
+        return 15.5
+
+    @property
+    def bar(self) -> float:
+        """Left edge of the colour bars."""
+        return _LEFT + self.shown * (self.size + _GAP) + 1.0
+
+    @property
+    def tall(self) -> float:
+        """Of what belongs to one method."""
+        maps = _HEAD + self.rows * (self.size + 4.0)
+        return maps + (6.0 if self.wide else 23.5)
+
+    @property
+    def height(self) -> float:
+        """Of the figure: legend above, label of the time axis and footer below."""
+        return 2.0 + self.tall * self.methods + (6.0 if self.wide else 7.5)
+
+    def axes(self, figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
+        """New axes there."""
+        across, up = self.width, self.height
+        return figure.add_axes((left / across, 1 - (top + height) / up, width / across, height / up))
+
+    def write(self, figure: Figure, left: float, top: float, text: str, **look: Any) -> None:
+        """``text`` there."""
+        figure.text(left / self.width, 1 - top / self.height, text, va="center", **look)
+
+    def maps(self, figure: Figure, top: float, row: int) -> list[Axes]:
+        """One row of maps of the method whose band begins at ``top``."""
+        at = top + _HEAD + row * (self.size + 4.0)
+        return [self.axes(figure, _LEFT + k * (self.size + _GAP), at, self.size, self.size) for k in range(self.shown)]
+
+    def traces(self, figure: Figure, top: float) -> Axes:
+        """Axes over time beside the maps, or below them."""
+        if self.wide:
+            left = self.bar + 25.0
+            return self.axes(figure, left, top + _HEAD, self.width - left - 3.0, self.tall - _HEAD - 6.0)
+        below = top + _HEAD + self.rows * (self.size + 4.0) + 1.5
+        return self.axes(figure, _LEFT, below, self.width - _LEFT - 3.0, 15.0)
+
+
+_LEFT, _HEAD, _GAP = 11.5, 8.0, 0.8  # mm: left of maps, and of axes over time in a column; above the maps of a method
+
+
 @styled
 def plot_target(data: xr.Dataset, *, width: int = PAGE) -> Figure:
-    """Per method: maps at six instants (interpolated, and the field itself), and the grid points over time.
+    """Per method: maps at some instants (interpolated, and the field itself), and the grid points over time.
 
-    A page has the time series beside the maps, a journal's column below them. Each method has a scale of its own, whose
-    factor stands at its bar.
+    A page has six instants and the time series beside the maps, a journal's column four of them and the series below.
+    Each method has a scale of its own, whose factor stands at its bar.
     """
     rows, wide = 2 if "field" in data else 1, width > COLUMN
-    tall = 8 + (19 if wide else 12.5) * rows if wide else 8 + 13.5 * rows + 26
-    figure = sheet(width, 5 + tall * data.sizes["method"])
-    bands = figure.subfigures(data.sizes["method"], 1, squeeze=False)[:, 0]
+    room = _Sheet(wide, rows, _INSTANTS if wide else 4, data.sizes["method"])
+    figure = sheet(width, room.height)
+    figure.set_layout_engine("none")
     most = MICRO * np.nanmax(np.abs(data.between.values), axis=(1, 2, 3), initial=0.0)
-    for m, band in enumerate(bands):
+    for m, method in enumerate(data.method.values):
+        top = 2.0 + m * room.tall
         factor = most[m] / most[0] if most[0] > 0 else 1.0
-        said = "" if abs(factor - 1) < 0.005 else f" × {factor:.2g}"
-        shape: dict[str, Any] = {"width_ratios": (2.6, 1)} if wide else {"height_ratios": (8 + 13.5 * rows, 26)}
-        maps, traces = band.subfigures(*((1, 2) if wide else (2, 1)), squeeze=False, **shape).ravel()
-        _maps(maps, data, m, float(most[m]), said, rows, wide)
-        _traces(traces.subplots(), data, m, titled=wide)
-        if not wide:
-            maps.suptitle(data.method.values[m], color=_colour(data, m), fontweight="bold", fontsize=8)
+        room.write(figure, _LEFT, top + 2.0, str(method), color=_colour(data, m), fontweight="bold", fontsize=9)
+        _maps(figure, room, top, data, m, float(most[m]), "" if abs(factor - 1) < 0.005 else f"scale\n× {factor:.2g}")
+        axes = room.traces(figure, top)
+        _curves(axes, data, m)
+        for t in data.when.values[m][_chosen(data, m, room.shown)]:
+            axes.axvline(1e3 * t, color=FAINT, lw=0.5, zorder=0)
+        reach = MICRO * float(np.nanmax(np.abs(data.u.values[m]))) or 1.0
+        tick = round_down_125(reach)
+        axes.set(ylim=(-1.08 * reach, 1.08 * reach), yticks=(-tick, 0, tick))
+        axes.tick_params(labelsize=6)
+        axes.set_xlabel("time [ms]" if m == room.methods - 1 else "")
+        axes.yaxis.label.set_fontsize(6.5)
+        axes.yaxis.set_label_coords(-9.0 / (room.width * axes.get_position().width), 0.5)
+        if m == 0:
+            lines = axes.get_legend_handles_labels()
+            figure.legend(*lines, loc="upper right", bbox_to_anchor=(0.985, 1 - 1.0 / room.height), ncols=2,
+                          borderaxespad=0, borderpad=0)  # fmt: skip
     return figure
 
 
 def _colour(data: xr.Dataset, m: int) -> str:
-    return method_colour(str(data.method.values[m]), list(data.method.values))
+    return method_look(str(data.method.values[m]), list(data.method.values)).colour
 
 
-def _maps(figure: Any, data: xr.Dataset, m: int, most: float, factor: str, rows: int, wide: bool) -> None:
-    grid = figure.subplots(rows, _INSTANTS, squeeze=False)
-    scale = Normalize(-most or -1.0, most or 1.0)
+def _chosen(data: xr.Dataset, m: int, count: int) -> slice:
+    """Successive instants, ``count`` of them: the target's peak and the largest motion of any point among them."""
+    largest = int(np.argmax(np.nanmax(np.abs(data.between.values[m]), axis=(1, 2))))
+    spare = _INSTANTS - count
+    first = 0 if largest == 0 else spare if largest == _INSTANTS - 1 else spare // 2
+    return slice(first, first + count)
+
+
+def _maps(figure: Figure, room: _Sheet, top: float, data: xr.Dataset, m: int, most: float, factor: str) -> None:
+    scale, chosen = Normalize(-most or -1.0, most or 1.0), _chosen(data, m, room.shown)
     points, coils = (1e3 * data[f"{side}_place"].values[:, :2] for side in ("output", "input"))
     middle = points.mean(axis=0)
-    reach = 1.3 * np.abs(np.concatenate([points, coils]) - middle).max()
-    for k, t in enumerate(data.when.values[m]):
-        when = "0" if abs(t) < 5e-5 else f"{1e3 * t:+.1f}"
-        when += " ms" if wide or k == 0 else ""  # a column has no room for more
-        grid[0, k].set_title(when.replace("-", "\N{MINUS SIGN}"), fontsize=7 if wide else 6)
-        grid[0, k].pcolormesh(1e3 * data.x, 1e3 * data.y, MICRO * data.between[m, k], cmap=SIGNED, norm=scale,
-                              shading="gouraud", rasterized=True)  # fmt: skip
-        if "field" in data:
-            seen = Triangulation(1e3 * data.vertex_x, 1e3 * data.vertex_y, data.triangles)
-            grid[1, k].tripcolor(seen, MICRO * data.field.values[m, k], cmap=SIGNED, norm=scale, shading="gouraud",
-                                 rasterized=True)  # fmt: skip
-        for panel in grid[:, k]:
-            panel.plot(*points.T, ".", color=INK, ms=1.5)
-            panel.plot(*points[_row(data)], "o", mfc="none", mec=INK, ms=7 if wide else 4, mew=0.9)
-            panel.plot(*coils.T, "o", mfc="none", mec=GREY, ms=5 if wide else 3, mew=0.6)
+    reaches = [1.15 * np.abs(p - middle).max() for p in (points, np.concatenate([points, coils]))][2 - room.rows :]
+    for row, reach in enumerate(reaches):
+        panels = room.maps(figure, top, row)
+        for panel, k in zip(panels, range(_INSTANTS)[chosen], strict=True):
+            if row == 0:
+                when = f"{1e3 * data.when.values[m, k]:+.1f} ms"
+                panel.set_title("0 ms" if float(when[:-3]) == 0 else minus(when), fontsize=6.5, pad=2)
+                panel.pcolormesh(1e3 * data.x, 1e3 * data.y, MICRO * data.between[m, k], cmap=SIGNED, norm=scale,
+                                 shading="gouraud", rasterized=True)  # fmt: skip
+            else:
+                seen = Triangulation(1e3 * data.vertex_x, 1e3 * data.vertex_y, data.triangles)
+                panel.tripcolor(seen, MICRO * data.field.values[m, k], cmap=SIGNED, norm=scale, shading="gouraud",
+                                rasterized=True)  # fmt: skip
+            panel.plot(*points.T, "o", color=INK, ms=2.2, mew=0)
+            panel.plot(*points[_row(data)], "o", mfc="none", mec=INK, ms=6, mew=0.9)
+            panel.plot(*coils.T, "o", mfc="none", mec=GREY, ms=5, mew=0.7)
             panel.set(aspect="equal", xticks=(), yticks=(), xlim=(middle[0] - reach, middle[0] + reach),
                       ylim=(middle[1] - reach, middle[1] + reach))  # fmt: skip
             panel.grid(False)
             panel.spines[:].set_visible(False)
-    left, (low, high) = grid[-1, 0].get_xlim()[0], grid[-1, 0].get_ylim()
-    below = low - 0.09 * (high - low)
-    grid[-1, 0].plot([left, left + _BAR], [below, below], color=INK, lw=2, solid_capstyle="butt", clip_on=False,
-                     scalex=False, scaley=False)  # fmt: skip
-    grid[-1, 0].annotate(f"{_BAR:g} mm", (left + _BAR, below), (3, 0), textcoords="offset points", va="center",
-                         fontsize=6, annotation_clip=False)  # fmt: skip
-    for panel, text in zip(grid[:, 0], ("interpolated", "field itself") if wide else ("points", "skin"), strict=False):
-        panel.set_ylabel(text, fontsize=7)
-    bar = figure.colorbar(ScalarMappable(scale, SIGNED), ax=list(grid.ravel()), fraction=0.02, pad=0.01, extend="both",
-                          shrink=0.9)  # fmt: skip
-    bar.set_label(f"u [µm]{chr(10) if factor else ''}{'scale' if factor else ''}{factor}", fontsize=7)
+        below = -1.8 / room.size
+        panels[0].plot([0, _BAR / (2 * reach)], [below, below], color=INK, lw=1.5, solid_capstyle="butt", clip_on=False,
+                       transform=panels[0].transAxes)  # fmt: skip
+        panels[0].annotate(f"{_BAR:g} mm", (_BAR / (2 * reach), below), (3, 0), xycoords="axes fraction", va="center",
+                           textcoords="offset points", fontsize=6, annotation_clip=False)  # fmt: skip
+        panels[0].set_ylabel("between\npoints" if row == 0 else "skin\nitself", fontsize=7)
+    side = room.axes(figure, room.bar, top + _HEAD + 1.8, 1.8, room.rows * (room.size + 4.0) - (9.5 if factor else 6.0))
+    bar = figure.colorbar(ScalarMappable(scale, SIGNED), cax=side, extend="both")
+    bar.ax.tick_params(labelsize=6, pad=1.5, length=2)
+    bar.ax.set_yticks([t * round_down_125(most or 1.0) for t in (-1, 0, 1)])
+    room.write(figure, room.bar, top + _HEAD - 1.5, "u [µm]", fontsize=6.5)
+    room.write(figure, room.bar, top + _HEAD - 3.5 + room.rows * (room.size + 4.0), factor, fontsize=6.5)
 
 
 def _row(data: xr.Dataset) -> int:
@@ -223,17 +319,6 @@ def _shown(data: xr.Dataset) -> tuple[float, float]:
     """Span of the traces [ms]: 40 ms to either side of the focus, and all instants of the maps."""
     low, high = min(-_AROUND, float(data.when.min())), max(_AROUND, float(data.when.max()))
     return 1e3 * max(low, float(data.time[0])), 1e3 * min(high, float(data.time[-1]))
-
-
-def _traces(ax: Axes, data: xr.Dataset, m: int, *, titled: bool) -> None:
-    _curves(ax, data, m)
-    for t in data.when.values[m]:
-        ax.axvline(1e3 * t, color=FAINT, lw=0.5, zorder=0)
-    if titled:
-        ax.set_title(data.method.values[m], color=_colour(data, m), fontweight="bold", fontsize=9)
-        ax.set_xlabel("time [ms]; target solid", fontsize=7)
-    else:  # outside, so that no curve yields to it
-        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, fontsize=6, ncols=2)
 
 
 @styled

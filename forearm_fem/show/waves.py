@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.special import hankel2
 
-from ..engines.layered import flat_layers, flat_surface
+from ..engines.layered import flat_layers, flat_membrane
 from ..errors import NotApplicable, ScenarioError
 from ..geometry.device.layout import layers_of
 from ..layered import surface_kernel
@@ -195,7 +195,7 @@ def kernel_root(scenario: Scenario, frequency: FloatArray) -> ComplexArray | Non
     if not layers_of(scenario.limb):
         return None
     try:
-        layers, skin = flat_layers(scenario), flat_surface(scenario.tissues)
+        layers, skin = flat_layers(scenario), flat_membrane(scenario.tissues)
     except ScenarioError:
         return None
     return trace_root(lambda k, w: surface_kernel(k, w, layers, surface=skin), layers, 2 * np.pi * frequency)

@@ -8,11 +8,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 from scipy.spatial.distance import pdist
 
 from ..ports import Port
-from ..show.style import FAINT, INK, letter, method_colour, styled
+from ..show.style import FAINT, INK, letter, method_look, styled
 from ..typing import FloatArray
 from .analysis import in_order
 
@@ -38,9 +39,9 @@ def plot_ellipses(found: pd.DataFrame, grid: Sequence[Port]) -> Figure:
     for ax, target in zip(axes, targets, strict=False):
         ax.plot(xy[:, 0], xy[:, 1], ".", color=FAINT, ms=4)
         for row in found[found["target"] == target].to_dict("records"):
-            colour = method_colour(row["method"], methods)
+            colour, marker, _ = method_look(row["method"], methods)
             at = _MM * row["mean_y_m"], _MM * row["mean_x_m"]
-            ax.plot(*at, "o", color=colour, ms=4)
+            ax.plot(*at, marker, color=colour, ms=4)
             _draw(ax, at, [row[f"{k}_m2"] for k in ("var_y", "cov_xy", "var_x")], facecolor=colour, edgecolor=colour,
                   alpha=0.18)  # fmt: skip
             _draw(ax, at, [row[f"within_{k}_m2"] for k in ("var_y", "cov_xy", "var_x")], fill=False, edgecolor=colour,
@@ -54,7 +55,8 @@ def plot_ellipses(found: pd.DataFrame, grid: Sequence[Port]) -> Figure:
     axes[0].set_ylim(xy[:, 1].max() + reach, xy[:, 1].min() - reach)
     figure.supxlabel("across the limb [mm]")
     figure.supylabel("along the limb [mm]")
-    handles = [Ellipse((0, 0), 1, 1, facecolor=method_colour(m, methods), alpha=0.6) for m in methods]
+    looks = [method_look(m, methods) for m in methods]
+    handles = [Line2D([], [], ls="none", marker=look.marker, color=look.colour, ms=5) for look in looks]
     figure.legend(handles, methods, loc="outside upper center", ncols=len(methods))
     return figure
 
@@ -81,7 +83,7 @@ def plot_points(table: pd.DataFrame) -> Figure:
         means = [part[part["method"] == m].groupby("participant")["points"].mean().to_numpy() for m in methods]
         boxes = ax.boxplot([m if len(m) else [np.nan] for m in means], widths=0.5, patch_artist=True, showmeans=True)
         for box, method in zip(boxes["boxes"], methods, strict=True):
-            box.set(facecolor=method_colour(method, methods), alpha=0.5)
+            box.set(facecolor=method_look(method, methods).colour, alpha=0.5)
         for line in boxes["medians"]:
             line.set(color=INK)
         ax.set_xticks(range(1, len(methods) + 1), methods)

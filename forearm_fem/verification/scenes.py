@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..engines.layered import flat_layers, flat_surface
+from ..engines.layered import flat_layers, flat_membrane, flat_sheet
 from ..fem.assembly.model import ForearmModel, build_model
 from ..fem.linear.factor import make_factor, refined_solve
 from ..fem.reduction.sweep import direct_sweep
@@ -230,9 +230,10 @@ def layered_truth(scenario: Scenario, frequencies: Sequence[float], *, depth: fl
         above = sum(x.thickness_m for x in layers[:-1])
         last = layers[-1]
         layers, base = [*layers[:-1], Layer(depth - above, last.density, last.modulus, last.bulk_modulus)], "rigid"
-    cone, surface = scenario.device.cone, flat_surface(scenario.tissues)
+    cone, surface = scenario.device.cone, flat_membrane(scenario.tissues)
     discs = [Disc(0.0, 0.0, cone.radius, cone.contact), *(Disc(x, y) for x, y in scenario.grid.places)]
     omega = 2 * np.pi * np.array(frequencies)
     choice: Base = "rigid" if base == "rigid" else "halfspace"
-    result = layered_compliance(layers, omega, discs[:1], discs, base=choice, surface=surface, tolerance=1e-8)
+    result = layered_compliance(layers, omega, discs[:1], discs, base=choice, surface=surface, tolerance=1e-8,
+                                sheet=flat_sheet(scenario.tissues))  # fmt: skip
     return result.values[:, :, 0]

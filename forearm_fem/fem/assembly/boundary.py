@@ -36,6 +36,15 @@ def under_rectangle(length: float, width: float) -> Covered:
     return covered
 
 
+def middles_covered(space: MixedSpace, facets: IntArray, covered: Covered) -> IntArray:
+    """Those of boundary facets (k, 3) whose middle is ``covered``."""
+    (tets, local), found = space.owners(facets), np.zeros(len(facets), dtype=bool)
+    for f in range(4):
+        middle = facet_points(f, np.full((2, 1), 1 / 3))
+        found[local == f] = covered(*places_and_normals(space, tets[local == f], middle, f))[:, 0]
+    return facets[found]
+
+
 def rests(points: FloatArray, normals: FloatArray) -> BoolArray:
     """True where a skin's points rest on foam: their outward normals point down, n_z < -0.5."""
     return np.asarray(normals[..., 2] < DOWN)

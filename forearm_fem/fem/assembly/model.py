@@ -30,6 +30,7 @@ from .boundary import (
     facet_mass,
     facet_membrane,
     force_share,
+    middles_covered,
     port_functional,
     resting_nodes,
     rests,
@@ -207,16 +208,18 @@ def _boundaries(
 
 
 def _patch(space: MixedSpace, patch: Patch) -> Matrices:
-    """Mass, membrane and bending of the ``patch`` on the skin that it covers seen from above; edges cut through
-    facets."""
-    skin, covered = space.mesh.facets["skin"], under_rectangle(patch.length, patch.width)
-    if not covered_area(space, skin, covered):
+    """Mass, membrane and bending of the ``patch`` on facets of the skin whose middle it covers seen from above.
+
+    Tape so outweighs skin that a facet with a part of it would be as stiff as a whole one: edges follow facets.
+    """
+    skin = middles_covered(space, space.mesh.facets["skin"], under_rectangle(patch.length, patch.width))
+    if not len(skin):
         raise GeometryError("tissues.patch: no skin lies under it; make length and width larger, or leave it out")
-    result: Matrices = [("patch mass", facet_mass(space, skin, covered))] if patch.mass else []
+    result: Matrices = [("patch mass", facet_mass(space, skin))] if patch.mass else []
     if patch.stiffness or patch.viscosity:
-        result.append(("patch membrane", facet_membrane(space, skin, covered)))
+        result.append(("patch membrane", facet_membrane(space, skin)))
     if patch.bending:
-        result.append(("patch bending", facet_bending(space, skin, covered)))
+        result.append(("patch bending", facet_bending(space, skin, under_rectangle(np.inf, np.inf))))
     return result
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
-from scipy.stats import qmc
 
 from ...errors import GeometryError
 from ...geometry.device.layout import layers_of
@@ -138,6 +137,8 @@ def motion_of(mesh: TissueMesh, limb: Limb, others: Sequence[Limb]) -> Motion | 
     low, high = inside.min(axis=0), inside.max(axis=0)
     if np.allclose(low, high, rtol=1e-9):
         return None
+    from scipy.stats import qmc  # half a second, which no other run needs
+
     ends, flat = np.outer([0.0, 1.0], np.ones(len(low))), isinstance(limb, SlabLimb)
     places = ends if flat else np.vstack([ends, qmc.LatinHypercube(len(low), rng=0).random(_SAMPLES)])
     ways, limbs = list[Mapping[str, Stretch]](), list[Limb]()

@@ -81,9 +81,9 @@ def no_eight_floats(context: Any) -> Any:
 
 
 @intrinsic
-def eight_floats_at(context: Any, address: Any) -> Any:
-    """The eight floats at ``address``."""
-    return _eight_floats(types.intp), _load
+def vector_at(context: Any, address: Any, like: Any) -> Any:
+    """The numbers at ``address``, as many as the vector ``like`` holds."""
+    return like(types.intp, like), _load
 
 
 @intrinsic

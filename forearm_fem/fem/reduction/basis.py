@@ -22,6 +22,8 @@ from ..kernels.compiled import compiled, in_threads, thread_count
 
 Columns = NDArray[np.floating[Any]]  # in single or double precision
 _PIECE = 512  # rows at a time: what is worked out with them stays in the cache
+_LONG = 4096  # rows at a time of few columns in single precision, the same
+_VECTOR = 16  # numbers in single precision that compiled code takes together
 _FEW = 32  # columns up to which compiled code is faster than BLAS, on processors with short registers too
 
 
@@ -95,17 +97,17 @@ class Basis:
         """Coefficients (r, k) of ``columns`` (n, k) in the blocks' first ``n_u`` rows, in single precision, taken
         from all rows. Block by block, so that the rest that blocks leave, which are not quite orthogonal, is taken
         too."""
-        known = []
+        known = [np.zeros((0, columns.shape[1]), np.float32)]
         for block in self.blocks:
-            known.append(block[:n_u].T @ columns[:n_u])
-            columns -= block @ known[-1]
-        return np.vstack([np.zeros((0, columns.shape[1])), *known])
+            known.append(_rough_inner(block[:n_u], columns[:n_u]))
+            _subtract_rough(block, known[-1], columns)
+        return np.vstack(known)
 
     def rough_combination(self, known: FloatArray) -> NDArray[np.float32]:
         """:meth:`combination` in single precision, of blocks in single precision."""
-        total, factors = np.zeros((len(self.blocks[0]), known.shape[1]), dtype=np.float32), known.astype(np.float32)
+        total, factors = np.zeros((len(self.blocks[0]), known.shape[1]), dtype=np.float32), -known.astype(np.float32)
         for block, (start, end) in zip(self.blocks, pairwise(self._starts), strict=True):
-            total += block @ factors[start:end]
+            _subtract_rough(block, factors[start:end], total)
         return total
 
     @cached_property
@@ -140,13 +142,62 @@ def _add_combination(block: Columns, factors: FloatArray, total: FloatArray) -> 
         total += block.astype(float, copy=False) @ factors
 
 
-def _pieces(count: int) -> Iterator[slice]:
-    return (slice(i, min(i + _PIECE, count)) for i in range(0, count, _PIECE))
+def _rough_inner(block: Columns, columns: NDArray[np.float32]) -> NDArray[np.float32]:
+    """block^T columns, in single precision but for the sum over pieces of rows."""
+    if (kernels := _kernels_for(block, columns)) is None:
+        return np.asarray(block.T @ columns)
+    count, width, wide = block.shape[1], columns.shape[1], columns.strides[0]
+
+    def work(pieces: Sequence[slice]) -> FloatArray:
+        """One thread's pieces; the kernel subtracts."""
+        total = np.zeros((count, width))
+        for rows in pieces:
+            part, some, own = np.zeros((count, width), np.float32), block[rows], columns[rows]
+            at = some.ctypes.data, some.strides[0], own.ctypes.data, part.ctypes.data
+            kernels.subtract_panel(4, count, len(some), *at, wide, wide)
+            total -= part
+        return total
+
+    return np.asarray(sum(in_threads(work, _shared(len(columns), _LONG))), dtype=np.float32)
 
 
-def _shared(count: int) -> list[list[slice]]:
+def _subtract_rough(block: Columns, known: NDArray[np.float32], columns: NDArray[np.float32]) -> None:
+    """``columns`` less block known, in single precision."""
+    if (kernels := _kernels_for(block, columns)) is None:
+        columns -= block @ known
+        return
+    factors, wide = np.ascontiguousarray(known), columns.strides[0]
+
+    def work(pieces: Sequence[slice]) -> None:
+        """One thread's pieces."""
+        for rows in pieces:
+            some, own = block[rows], columns[rows]
+            at = some.ctypes.data, some.strides[0], factors.ctypes.data, own.ctypes.data
+            kernels.subtract_panel_transposed(4, block.shape[1], len(some), *at, wide, wide)
+
+    in_threads(work, _shared(len(columns), _LONG))
+
+
+def _kernels_for(block: Columns, columns: NDArray[np.float32]) -> Any:
+    """Kernels that are faster than BLAS on so few columns, whole vectors of them side by side; None for others."""
+    few = columns.shape[1] <= _FEW and columns.shape[1] % _VECTOR == 0 and columns.flags.c_contiguous
+    by_rows = block.dtype == np.float32 and block.strides[1] == block.itemsize
+    return compiled("linear.multifrontal.panels") if few and by_rows else None
+
+
+def in_vectors(columns: Columns) -> NDArray[np.float32]:
+    """``columns`` (n, k) in single precision with as many columns of zeros behind them as :class:`Basis` likes."""
+    missing = -columns.shape[1] % _VECTOR
+    return np.pad(columns.astype(np.float32), ((0, 0), (0, missing)))
+
+
+def _pieces(count: int, rows: int = _PIECE) -> Iterator[slice]:
+    return (slice(i, min(i + rows, count)) for i in range(0, count, rows))
+
+
+def _shared(count: int, rows: int = _PIECE) -> list[list[slice]]:
     """Pieces of so many rows, shared by the threads in turn."""
-    pieces, threads = list(_pieces(count)), thread_count()
+    pieces, threads = list(_pieces(count, rows)), thread_count()
     return [pieces[k::threads] for k in range(threads)]
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -62,9 +63,13 @@ _CHUNK = ("last", "derivatives", "residual", "correction")
 
 @dataclass(frozen=True)
 class Snapshots:
-    """Expansions and chunks of an interrupted sweep on a shelf, none of which is made twice; without a shelf none."""
+    """Expansions and chunks of an interrupted sweep on a shelf, none of which is made twice; without a shelf none.
+
+    Chunks are written in a thread beside the next one's making.
+    """
 
     shelf: Shelf | None = None
+    _writer: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1), repr=False, compare=False)
 
     def get(self, frequency: float) -> Expansion | None:
         """The expansion kept for a frequency, or None."""
@@ -93,7 +98,12 @@ class Snapshots:
         """Keep a chunk, the ``number``-th from 0."""
         parts = {"columns": chunk.columns, "upper": chunk.pairs.upper, "lower": chunk.pairs.lower}
         if self.shelf is not None:
-            self.shelf.put(f"rate-{number}", {**parts, **{name: getattr(chunk, name) for name in _CHUNK}})
+            whole = {**parts, **{name: getattr(chunk, name) for name in _CHUNK}}
+            self._writer.submit(self.shelf.put, f"rate-{number}", whole)
+
+    def finish(self) -> None:
+        """Wait until all is written."""
+        self._writer.shutdown()
 
 
 @dataclass(frozen=True)

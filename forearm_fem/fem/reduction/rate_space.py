@@ -10,7 +10,7 @@ from ...typing import FloatArray
 from ..assembly.coefficients import rate_weights
 from ..linear.direct import ENOUGH, DirectSolver
 from .affine import compressible
-from .basis import Basis, Columns, inverse_or_zero
+from .basis import Basis, Columns, in_vectors, inverse_or_zero
 
 # Second-order Krylov space about a real rate: from one factorisation, all that solutions over a wide band consist of.
 # With s = s_0 (1 + d) and real s_0 the dynamic stiffness is A_0 + A_1 d + A_2 d^2, all real, and the derivatives of
@@ -102,7 +102,8 @@ class RateSpace:
         operator = solver.model.operator
         self._weights = rate_weights([t.coefficient for t in operator.terms], rate)
         self._nothing = _NOTHING if compressible(operator) else _NOTHING_FREE
-        self._basis, self._pairs = Basis(tuple(c.columns for c in chunks)), Pairs(np.zeros((0, 0)), np.zeros((0, 0)))
+        self._basis = Basis(tuple(c.columns.astype(self._number, copy=False) for c in chunks))
+        self._pairs = Pairs(np.zeros((0, 0)), np.zeros((0, 0)))
         self._last, self.derivatives, self.residual, self._correction = 0, 0, 0.0, np.inf
         for chunk in chunks:
             self._pairs = self._pairs.and_then(chunk.pairs)
@@ -142,10 +143,21 @@ class RateSpace:
         rough = self._solver.factor.single and self._solver.tolerance >= ENOUGH
         return np.float32 if rough else np.float64
 
+    @property
+    def _careful(self) -> bool:
+        """True where columns are worked with in double precision: all, or the first that all others come from."""
+        return self.derivatives <= _REFINED or self._number is not np.float32
+
+    def _rough_combination(self, known: FloatArray) -> FloatArray:
+        missing = -known.shape[1] % 16
+        found = self._basis.rough_combination(np.pad(known, ((0, 0), (0, missing))))
+        return found[:, : known.shape[1]].astype(float)
+
     def _derivative(self) -> FloatArray:
         """The next derivative (n, last) of the solutions that the last pairs stand for."""
         latest, one, two = self._pairs.last(self._last), self._weights[1], self._weights[2]
-        both = self._basis.combination(np.hstack([latest.upper, 2 * latest.upper + latest.lower]))
+        known = np.hstack([latest.upper, 2 * latest.upper + latest.lower])
+        both = self._basis.combination(known) if self._careful else self._rough_combination(known)
         # A_1 x_(k-1) + A_2 x_(k-2) so that masses, whose part of A_1 is twice that of A_2, take one product and not two
         matrices, solve = self._solver.model.operator.matrices, self._solver.factor.solve
         right = -matrices.real_sum(np.array([one - 2 * two, two]), (both[:, : self._last], both[:, self._last :]))
@@ -161,15 +173,10 @@ class RateSpace:
 
     def _extended(self, x: FloatArray) -> FloatArray:
         """Columns that the derivative ``x`` (n, b) of the last pairs adds to the space; its pairs are noted."""
-        n_u, rest = self._solver.model.operator.n_displacements, x.copy()
-        lengths, coordinates = np.linalg.norm(x[:n_u], axis=0), np.zeros((len(self._pairs.upper), x.shape[1]))
-        for _ in range(2):
-            known = self._basis.inner(rest[:n_u])
-            self._basis.subtract_in_place(rest, known)
-            coordinates += known
-            gram = rest[:n_u].T @ rest[:n_u]
-            if (np.sqrt(gram.diagonal()) >= _AGAIN * lengths).all():
-                break
+        n_u = self._solver.model.operator.n_displacements
+        lengths = np.linalg.norm(x[:n_u], axis=0)
+        rest, coordinates = self._taken_apart(x, lengths, n_u)
+        gram = rest[:n_u].T @ rest[:n_u]
         directions = _directions(gram, lengths, self._nothing)
         new_u = rest[:n_u] @ directions
         directions = directions @ np.linalg.inv(np.linalg.cholesky(new_u.T @ new_u)).T
@@ -179,6 +186,22 @@ class RateSpace:
         new = self._pairs.remainder(Pairs(upper, lower))
         self._pairs, self._last, self.derivatives = self._pairs.and_then(new), new.count, self.derivatives + 1
         return np.asarray(rest @ directions)
+
+    def _taken_apart(self, x: FloatArray, lengths: FloatArray, n_u: int) -> tuple[FloatArray, FloatArray]:
+        """What the space lacks of columns ``x`` (n, b), and their coordinates (r, b) in it."""
+        coordinates, width = np.zeros((len(self._pairs.upper), x.shape[1])), x.shape[1]
+        rest, rough = x.copy(), None if self._careful else in_vectors(x)
+        for _ in range(2):
+            if rough is None:
+                known = self._basis.inner(rest[:n_u])
+                self._basis.subtract_in_place(rest, known)
+            else:
+                known = self._basis.subtracted_in_place(rough, n_u)[:, :width]
+                rest = rough[:, :width].astype(float)
+            coordinates += known
+            if (np.linalg.norm(rest[:n_u], axis=0) >= _AGAIN * lengths).all():
+                break
+        return rest, coordinates
 
 
 def _directions(gram: FloatArray, lengths: FloatArray, nothing: float) -> FloatArray:

@@ -121,7 +121,8 @@ def reduced_sweep(
     """
     _refuse_lossless(model, frequency)
     residual = ENOUGH if tolerance is None else min(ENOUGH, _SHARE * tolerance)
-    work = Expander(model, options, Snapshots(kept), residual)
+    store = Snapshots(kept)
+    work = Expander(model, options, store, residual)
     try:
         made = work.about_rate(frequency, tolerance, progress) if starts_from_rate(model, options) else None
         if made is None:
@@ -136,6 +137,8 @@ def reduced_sweep(
             f"the reduced model breaks down in this band ({problem}); set solver.sweep = 'direct', or give the tissues "
             "more viscosity (tissues.override)"
         ) from None
+    finally:
+        store.finish()
     if tolerance is not None and result.certificates and result.reduction_error > _USELESS:
         raise SolverError(
             f"the reduced model of {len(result.expansions)} expansion frequencies may be wrong by "

@@ -13,8 +13,6 @@ from typing import Any
 
 import meshio
 import numpy as np
-import pyvista
-from vtkmodules.vtkCommonCore import vtkLogger
 
 from ...contents import stand_in
 from ...errors import MeshError, MissingExtra
@@ -157,6 +155,9 @@ def _by_kind(file: Path, ending: str, head: bytes) -> Any:
 
 def by_vtk(file: Path) -> Any:
     """Data set that VTK's own library reads from ``file``, of any version; its complaints are raised."""
+    import pyvista  # half a second, which no run needs that reads no foreign mesh and draws nothing
+    from vtkmodules.vtkCommonCore import vtkLogger
+
     before = vtkLogger.GetCurrentVerbosityCutoff()
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
     try:
@@ -176,6 +177,8 @@ _FLAT_OF_VTK = frozenset({0, 2, 4, 6, 7, 8, 28, 30, 34, 35, 36, 51, 52, 53, 54, 
 
 def _vtk(file: Path) -> Any:
     """A mesh of VTK, or of AVS, which VTK reads, too; lines and surfaces of kinds without use are left out."""
+    import pyvista
+
     grid = by_vtk(file)
     if isinstance(grid, pyvista.MultiBlock):
         raise MeshError(f"{file}: holds {grid.n_blocks} blocks; give one unstructured grid")

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyvista
 
 from ...errors import AccuracyWarning, GeometryError
 from ...progress import Progress, tell
@@ -151,11 +150,15 @@ class ClosedSurface:
     @cached_property
     def shell(self) -> Any:
         """The same surface for VTK."""
+        import pyvista
+
         padded = np.column_stack([np.full(len(self.faces), 3), self.faces])
         return pyvista.PolyData(self.vertices, padded.ravel())
 
     def distance(self, points: FloatArray) -> FloatArray:
         """Signed distance (n,) [m] of ``points`` (n, 3), negative inside."""
+        import pyvista
+
         cloud = pyvista.PolyData(np.ascontiguousarray(points))
         return np.asarray(cloud.compute_implicit_distance(self.shell)["implicit_distance"], dtype=float)
 

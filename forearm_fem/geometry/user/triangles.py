@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyvista
-import trimesh
 
 from ...contents import text_of, whole
 from ...errors import GeometryError
@@ -131,6 +129,8 @@ def _obj(file: Path, content: bytes) -> Triangles:
 
 def _vtk(file: Path) -> Triangles:
     """Triangles of a surface of VTK; its other polygons are cut into triangles."""
+    import pyvista
+
     try:
         body: Any = by_vtk(file)
     except Exception as problem:
@@ -149,6 +149,8 @@ def _vtk(file: Path) -> Triangles:
 
 
 def _trimesh(file: Path) -> Triangles:
+    import trimesh
+
     log = logging.getLogger("trimesh.util")
     before, log.disabled = log.disabled, True  # a picture of the skin's colour that is missing is no harm
     try:

@@ -15,7 +15,7 @@ from scipy.stats.qmc import LatinHypercube
 from ...accuracy.estimates import quadrature_estimate
 from ...device.loop import close_loop
 from ...engines.arm_meshes import ArmMeshes, arm_meshes
-from ...engines.layered import LayeredEngine, between_ports, flat_disc, flat_layers, flat_surface
+from ...engines.layered import NO_PATCH, LayeredEngine, between_ports, flat_disc, flat_layers, flat_surface
 from ...engines.parametric import ParametricModel, parametric_model
 from ...engines.simulation import Engine
 from ...errors import ScenarioError
@@ -176,7 +176,7 @@ class LayeredBetween:
 
     def holds(self, scenario: Scenario) -> str:
         """See :class:`.Engine`: as the layered model."""
-        return LayeredEngine().holds(scenario)
+        return NO_PATCH if scenario.tissues.patch.is_on else LayeredEngine().holds(scenario)
 
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """See :class:`.Engine`; columns of contacts."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...accuracy.estimates import quadrature_estimate
 from ...device import close_loop
-from ...engines.layered import LayeredEngine, flat_disc, flat_ports, kept_tables, tables_reach
+from ...engines.layered import NO_PATCH, LayeredEngine, flat_disc, flat_ports, kept_tables, tables_reach
 from ...engines.simulation import Engine
 from ...errors import AccuracyWarning, ForearmError, ScenarioError
 from ...layered.tables import Tabulated
@@ -47,7 +47,7 @@ class TabulatedArm:
 
     def holds(self, scenario: Scenario) -> str:
         """See :class:`.Engine`: as the layered model."""
-        return LayeredEngine().holds(scenario)
+        return NO_PATCH if scenario.tissues.patch.is_on else LayeredEngine().holds(scenario)
 
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """See :class:`.Engine`; entries between two points are NaN."""

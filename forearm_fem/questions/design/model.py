@@ -41,6 +41,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from ...errors import ScenarioError, first_problem
 from ...rendering.drives import CLEARANCE
+from ...rendering.job import user_renderer
 from ...scenario import Scenario, load_scenario, parse_scenario, scenario_beside
 from ...scenario.actuators import ACTUATORS
 from ...scenario.base import Name, Part, Within
@@ -51,6 +52,7 @@ from ...scenario.model import for_elements_only
 from ...scenario.rendering import Method
 from ...scenario.shipped import read_toml
 from ...typing import BoolArray, FloatArray
+from ...usercode import is_code
 
 _HOUSING, _THESIS = "device.housing.mass", 12.5e-3  # kg of the thesis' actuator
 _OBJECTIVE = {"rendering.methods": "objective.method", "rendering.targets": "objective.targets"}
@@ -233,6 +235,12 @@ class Design:
         if _HOUSING in given:
             return tuple(found)
         return tuple(_weighed(s, own, self.asked.constraints) for s, own in zip(found, self._own, strict=True))
+
+    @cached_property
+    def method(self) -> str:
+        """Name of the method, which a user's own class gives itself."""
+        asked = self.asked.objective.method
+        return user_renderer(asked, self._own[0]).name if is_code(asked) else asked
 
     @cached_property
     def _own(self) -> tuple[Scenario, ...]:

@@ -198,8 +198,8 @@ def outcome_words(result: DesignResult) -> list[str]:
     low, high = result.interval
     known = f"{strength_text(low)} to {strength_text(high)}" if math.isfinite(low + high) else "unknown"
     lines = [
-        f"{what} of the {objective.method} is {best.score:.3g} ({known} by the model's own errors, e_band of G at most "
-        f"{best.error:.1g}) with {values_words(best.values)}.",
+        f"{what} of the {result.design.method} is {best.score:.3g} ({known} by the model's own errors, e_band of G at "
+        f"most {best.error:.1g}) with {values_words(best.values)}.",
         f"The scenario's own device has {reference.score:.3g}"
         + (f" and does not hold {', '.join(reference.violations)}." if reference.violations else ".")
         if not reference.problem

@@ -322,7 +322,7 @@ def _confirmed(design: Design, best: Candidate, out: Path, progress: Progress | 
                           within(progress, "confirmation")))  # fmt: skip
         strength = read_run(folder / "run.json").signal_strength
         assert strength is not None
-        s = np.array([entry.value for entry in strength.methods[objective.method].values()], dtype=float)
+        s = np.array([entry.value for entry in strength.methods[design.method].values()], dtype=float)
         scores.append(score_of(s, objective))
         folders.append(folder)
     over = np.min(scores) if objective.over == "least" else np.mean(scores)

@@ -19,8 +19,9 @@ from ...engines.layered import (
     contacts_of,
     flat_disc,
     flat_layers,
+    flat_membrane,
     flat_ports,
-    flat_surface,
+    flat_sheet,
 )
 from ...engines.parametric import ParametricModel, parametric_model, reciprocal
 from ...errors import ForearmError, ScenarioError
@@ -39,6 +40,7 @@ from .draws import FASCIA, has_fascia
 # A third of the time of the layered model's own; what it costs is stated per draw
 _TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)
 _JUDGED = 6  # every so many frequencies the series are judged
+_DEGREES = 14  # polynomials of tape
 _OF_CHANGE = (1e-2, 3)  # tolerance and terms for what geometry changes: 5e-5 of it apart, in two thirds of the time
 _ALONE, _FAR, _SCATTERED = (1,), 0.5, 0.06  # orders of a change, up to which nearness, and what they leave out of it
 _ENOUGH = 0.1  # e(f): where fewer orders say more (a point near a cone, little loss), more are taken
@@ -48,7 +50,6 @@ _BETWEEN = 2  # times as much it may miss elsewhere: at single frequencies twice
 _OTHERS = 6  # answers as wrong as geometry may make one
 _SMOOTH = 50.0  # Hz over which what geometry misses is alike, as for other errors of S (decision 0027)
 _MISSED = 0.5  # of the change by geometry that the layered model may be wrong by
-_GEOMETRY = ("thickness", "placement", "contact area")
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,13 +118,15 @@ class LayeredArm:
         contacts, discs = ([flat_disc(port) for port in some] for some in (contacts_of(ports), ports))
         for orders in self.orders:
             found = layered_compliance(
-                flat_layers(scenario), 2 * np.pi * frequency, contacts, discs, surface=flat_surface(scenario.tissues),
-                tolerance=self.tolerance, terms=self.terms, orders=orders, judged=_JUDGED,
+                flat_layers(scenario), 2 * np.pi * frequency, contacts, discs, surface=flat_membrane(scenario.tissues),
+                sheet=flat_sheet(scenario.tissues), tolerance=self.tolerance, terms=self.terms, orders=orders,
+                degrees=_DEGREES, judged=_JUDGED,
             )  # fmt: skip
             error = found.quadrature + found.interpolation
             error = np.asarray(error if self.orders == _ALONE else error + found.truncation)
             if error.max() <= _ENOUGH:
                 break
+        error = error + found.sheet
         estimate = quadrature_estimate(
             frequency, error,
             "the layered model's own control, with fewer terms than it takes for a scene",
@@ -136,6 +139,8 @@ class LayeredArm:
 
     def answers(self, scenario: Scenario, seen: Scenario, frequency: FloatArray) -> tuple[Answer, Compliance]:
         """The same, and the compliance of ``seen``, which has points elsewhere or read otherwise, by one solve."""
+        if seen.grid == scenario.grid:
+            return (answer := self.answer(scenario, frequency)), answer.compliance
         scenario, seen = without_bones(scenario), without_bones(seen)
         own, laid = flat_ports(scenario), flat_ports(seen)
         points = tuple(port for port in laid if port.kind == "point")
@@ -164,8 +169,7 @@ class ReducedArm:
     Layers of other thicknesses stretch with the mesh, and its skin can be read anywhere: a draw's grid is read where it
     lies, if that is within millimetres of the scene's. What the contact radius changes, or thicknesses and a grid
     beyond what the model was made for, is the difference of two answers of the layered model for the draw's tissues,
-    and stated to be wrong by up to half of itself. A scene
-    with tape on the skin, which the layered model has not, holds all of these. ``meshes`` tell what the elements err by
+    and stated to be wrong by up to half of itself. ``meshes`` tell what the elements err by
     for each draw; where there are none, ``without`` says why.
     """
 
@@ -186,9 +190,8 @@ class ReducedArm:
 
     @property
     def held(self) -> frozenset[str]:
-        """See :class:`LayeredArm`: nothing, or all geometry where the layered model cannot say what it changes."""
-        fascia = () if has_fascia(self.scenario) else (FASCIA,)
-        return frozenset((*fascia, *(_GEOMETRY if self.scenario.tissues.patch.is_on else ())))
+        """See :class:`LayeredArm`: no fascia that the scene has not."""
+        return frozenset(() if has_fascia(self.scenario) else (FASCIA,))
 
     @property
     def left_out(self) -> str:
@@ -220,35 +223,43 @@ class ReducedArm:
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
         """See :class:`LayeredArm`: each error may be missed by its size at each pair of ports, alike at all of them or
         in any phase at each."""
-        own = with_scene_geometry(self.scenario, scenario)  # but with its own grid where both meshes can read it
+        return self.answers(scenario, scenario, frequency)[0]
+
+    def answers(self, scenario: Scenario, seen: Scenario, frequency: FloatArray) -> tuple[Answer, Compliance]:
+        """See :class:`LayeredArm`."""
+        own, own_seen = self._own(scenario), self._own(seen)
+        found, missed, met = self.model.answers(own, own_seen, frequency)
+        off: list[ComplexArray | FloatArray] = [missed.of(found)]
+        if self.meshes is not None:
+            estimate, missed = self.meshes.missed(own, found)
+            found = replace(found, errors=(*found.errors, estimate))
+            off.append(missed.of(found))
+        if own != scenario or own_seen != seen:
+            change, error, of_seen = self._change((scenario, own), (seen, own_seen), found.frequency)
+            met = replace(met, values=met.values + of_seen)
+            if own != scenario:
+                found = self._changed(found, change, error, scenario, own)
+                off += [_MISSED * change, error]
+        return Answer(found, perturbed_answers(found, off), frozenset(e.source for e in found.errors)), met
+
+    def _own(self, scenario: Scenario) -> Scenario:
+        """The draw with the scene's geometry, but with its own layers and grid where all meshes can follow them."""
+        own = with_scene_geometry(self.scenario, scenario)
         models = [self.model] if self.meshes is None else [self.model, self.meshes.second]
         if all(m.stretches(scenario) for m in models):
             own = own.changed({"limb": scenario.limb})
         for direction in (scenario.grid.direction, own.grid.direction):  # else the layered model turns it
             laid = own.changed({"grid": scenario.grid.changed({"direction": direction})})
             if all(m.follows(laid) for m in models):
-                own = laid
-                break
-        found, missed = self.model.answer(own, frequency)
-        off: list[ComplexArray | FloatArray] = [missed.of(found)]
-        if self.meshes is not None:
-            estimate, missed = self.meshes.missed(own, found)
-            found = replace(found, errors=(*found.errors, estimate))
-            off.append(missed.of(found))
-        if own != scenario:
-            found, *geometry = self._changed(found, scenario, own)
-            off += geometry
-        return Answer(found, perturbed_answers(found, off), frozenset(e.source for e in found.errors))
+                return laid
+        return own
 
-    def answers(self, scenario: Scenario, seen: Scenario, frequency: FloatArray) -> tuple[Answer, Compliance]:
-        """See :class:`LayeredArm`."""
-        return self.answer(scenario, frequency), self.compliance(seen, frequency)
-
-    def _changed(self, found: Compliance, scenario: Scenario, own: Scenario) -> tuple[Compliance, Any, FloatArray]:
-        """The answer with what geometry changes between two draws, what of that change may be wrong, and the layered
-        model's errors in it (both (n, n_port, n_port) [m/N])."""
+    def _changed(
+        self, found: Compliance, change: ComplexArray, error: FloatArray, scenario: Scenario, own: Scenario
+    ) -> Compliance:
+        """The answer with the ``change`` that geometry makes of ``own``, which may be wrong by a share of itself and by
+        the layered model's ``error`` (both (n, n_port, n_port) [m/N])."""
         frequency = found.frequency
-        change, error = self._change(scenario, own, frequency)
         block = np.ix_(range(len(frequency)), found.indices("point"), found.indices("contact"))
         size, whole = np.abs(found.values[block]).max(axis=(1, 2)), np.linalg.norm(found.values[block])
         missed = (_MISSED * np.abs(change[block]).max(axis=(1, 2)) + error[block].max(axis=(1, 2))) / size
@@ -263,27 +274,32 @@ class ReducedArm:
             f"{_MISSED:g} of what the draw's {differs} changes on the layered model, and its errors",
             tuple(frequency.tolist()), tuple(missed.tolist()),
         )  # fmt: skip
-        changed = replace(found, values=found.values + change, errors=(*found.errors, estimate))
-        return changed, _MISSED * change, error
+        return replace(found, values=found.values + change, errors=(*found.errors, estimate))
 
-    def _change(self, scenario: Scenario, own: Scenario, frequency: FloatArray) -> tuple[ComplexArray, FloatArray]:
-        """Change of the layered model by the draw's geometry, and its errors, both (n, n_port, n_port) [m/N].
+    def _change(
+        self, draw: tuple[Scenario, Scenario], seen: tuple[Scenario, Scenario], frequency: FloatArray
+    ) -> tuple[ComplexArray, FloatArray, ComplexArray]:
+        """Change of the layered model by the geometry of a ``draw`` against its own one, its errors, and the change
+        with the grid as ``seen``, all (n, n_port, n_port) [m/N].
 
         The layered model states errors over the largest entry of their kind: of contacts, or of points under contacts.
         Where discs are far apart, one azimuthal order says what changes to some hundredths of it, which are stated.
         """
-        far = 0 < max(_nearness(s) for s in (scenario, own)) <= _FAR
+        far = 0 < max(_nearness(s) for s in (*draw, *seen)) <= _FAR
         layered = replace(self.layered, orders=_ALONE) if far else self.layered
         few = len(frequency) <= _ASKED
         nodes = frequency if few else chebyshev_frequencies(frequency, _ASKED)
-        answers = [layered.compliance(s, nodes) for s in (scenario, own)]
-        values = [np.nan_to_num(a.values) for a in answers]  # a point on itself stays unknown in the sum
-        change = values[0] - values[1]
-        points, contacts = answers[0].indices("point"), answers[0].indices("contact")
+        pairs = [layered.answers(own, met, nodes) for own, met in zip(draw, seen, strict=True)]
+        answers, contact = [a.compliance for a, _ in pairs], [p.kind == "contact" for p in pairs[0][1].ports]
+        # a point on itself stays unknown in the sum
+        values, met = ([np.nan_to_num(c.values) for c in some] for some in (answers, [c for _, c in pairs]))
+        change, of_seen = (x[0] - x[1] for x in (values, met))
         at_nodes, between = change, change
+        points, contacts = answers[0].indices("point"), answers[0].indices("contact")
         if not few:
-            fit = reciprocal(nodes, change, [p.kind == "contact" for p in answers[0].ports], _FITTED)
+            fit = reciprocal(nodes, change, contact, _FITTED)
             at_nodes, between = fit(nodes), fit(frequency)
+            of_seen = between if seen == draw else reciprocal(nodes, of_seen, contact, _FITTED)(frequency)
         error = np.zeros(between.shape)
         for pair in ((points, contacts), (contacts, points), (contacts, contacts)):
             kind: Any = (slice(None), *np.ix_(*pair))
@@ -294,7 +310,7 @@ class ReducedArm:
             size = np.abs(between[kind]).max(axis=(1, 2))
             share = _BETWEEN * left.max() + (_SCATTERED if far else 0.0)
             error[kind] = (np.interp(frequency, nodes, off) + share * size)[:, None, None]
-        return between, error
+        return between, error, of_seen
 
 
 ArmModel = LayeredArm | ReducedArm  # engines for draws of an arm; a draw is a scenario (:func:`.draws.scenario_of`)

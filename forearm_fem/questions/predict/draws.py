@@ -31,7 +31,7 @@ from ...usercode import is_code
 
 Kind = Literal["log-normal", "normal", "uniform", "log-uniform", "logistic", "choice"]
 Known = Literal["seen", "derived", "judgement", "second-hand"]
-FASCIA = "fascia"
+FASCIA, TAPE = "fascia", "tape"
 # What the joint fit moves beside the tissues of a law
 SHARED = ("skin tension", "skin thickness", "fat thickness", "fascia thickness", "fascia modulus")
 
@@ -156,10 +156,12 @@ def _table(rows: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Prior]:
 LAWS = ("kelvin-voigt", "zener", "springpot")  # drawn unless others are named
 SOFT = ("skin", "fat", "muscle")
 WRIST, ELBOW = "contact spring, wrist side", "contact spring, elbow side"
+TAPE_INPUTS = {"tape thickness", "tape modulus"}  # drawn together or not at all
 _PLACED = {"grid x", "grid y", "grid turn"}
 _RIG = MappingProxyType(
     {"vibrometer noise": "noise", "arm motion": "motion", "entry gain": "gain", "entry phase": "phase"}
 )
+_TAPE_DENSITY = 1500.0  # kg/m^3: polyester has 1390, beads of glass more
 _FASCIA_LOSS = 2e-4  # s: eta / mu, a loss tangent of .19 at 150 Hz (judgement)
 # input -> the key under [device] that it spreads about the scenario's own
 _SPREAD: Mapping[str, tuple[str, str]] = MappingProxyType(
@@ -262,6 +264,8 @@ def scenario_of(draw: Draw, scenario: Scenario, held: Collection[str] = ()) -> S
         data["limb"]["layers"] = layers = [*layers, {"tissue": FASCIA, "thickness": values["fascia thickness"]}]
     if any(layer["tissue"] == FASCIA for layer in layers) and "fascia modulus" in values:
         data["tissues"]["override"][FASCIA] = fascia_parameters(values["fascia modulus"])
+    if scenario.tissues.patch.is_on and values.keys() >= TAPE_INPUTS:
+        data["tissues"]["patch"] |= tape_parameters(values["tape thickness"], values["tape modulus"])
     drawn_here = (*SOFT, FASCIA)
     whole = {tissue: sum(part["thickness"] for part in layers if part["tissue"] == tissue) for tissue in drawn_here}
     for layer in layers:  # layers of one tissue share what is drawn for it, as they share their own
@@ -291,6 +295,30 @@ def is_bare(scenario: Scenario, held: Collection[str]) -> bool:
 def fascia_parameters(mu: float) -> dict[str, float | str]:
     """Keys of ``[tissues.override.fascia]`` for a shear modulus ``mu`` [Pa]."""
     return {"law": "kelvin-voigt", "density": 1120.0, "bulk": 2.2e9, "mu": mu, "eta": _FASCIA_LOSS * mu}
+
+
+def tape_parameters(thickness: float, modulus: float) -> dict[str, float]:
+    """Keys of ``[tissues.patch]`` for an incompressible tape of a ``thickness`` [m] and Young's ``modulus`` [Pa]."""
+    return {
+        "mass": _TAPE_DENSITY * thickness, "stiffness": modulus * thickness / 3, "bending": modulus * thickness**3 / 9,
+    }  # fmt: skip
+
+
+def taped(scenario: Scenario, held: Collection[str]) -> Scenario:
+    """The ``scenario`` with the tape of the thesis' rig on its grid, unless it has one or tape is ``held``."""
+    if scenario.tissues.patch.is_on or TAPE_INPUTS & expanded(held, scenario):
+        return scenario
+    inputs = load_priors().inputs
+    middle = tape_parameters(inputs["tape thickness"].value(0.0), inputs["tape modulus"].value(0.0))
+    return scenario.changed({f"tissues.patch.{key}": value for key, value in middle.items()})
+
+
+def expanded(held: Collection[str], scenario: Scenario) -> frozenset[str]:
+    """Names of inputs for names and groups; of those that each actuator has, the names of the ``scenario``'s."""
+    priors = load_priors()
+    names = {n for n, p in priors.inputs.items() if n in held or p.group in held}
+    each = {key for n in names if priors.inputs[n].each is not None for key in each_name(n, scenario)}
+    return frozenset({*names, *each, *({"tissue"} & set(held))})
 
 
 def measured_of(draw: Draw, arm: Scenario, held: Collection[str] = ()) -> Scenario:
@@ -338,15 +366,17 @@ def _set_device(device: dict[str, Any], values: Mapping[str, float]) -> None:
 
 
 def idle_inputs(scenario: Scenario) -> frozenset[str]:
-    """Inputs of the device that no G of the ``scenario`` hangs on: coil and housing where forces or displacements are
-    given or the housing is held, springs where forces are given, and what is between a cone and skin that it does not
-    touch."""
+    """Inputs that no G of the ``scenario`` hangs on: coil and housing where forces or displacements are given or the
+    housing is held, springs where forces are given, what is between a cone and skin that it does not touch, and tape
+    that is not there."""
     device = scenario.device
     parts = device.model_dump()
     keys = {**_SPREAD, "housing share": ("housing", "skin_share")}
     idle = {name for name, (part, key) in keys.items() if key not in parts.get(part, ())}
     if scenario.limb.shape == "slab":
         idle.add("laser direction")
+    if not scenario.tissues.patch.is_on:
+        idle |= TAPE_INPUTS
     for name in (f"A{k}" for k in range(1, len(device.centres) + 1)):
         apart = name in device.out_of_contact
         if apart or device.drive == "force":

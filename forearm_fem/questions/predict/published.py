@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from ...engines.layered import flat_layers, flat_surface
+from ...engines.layered import flat_layers, flat_membrane
 from ...layered import Disc, Layer, Surface, layered_compliance
 from ...metrics import fit_waves
 from ...scenario import Scenario
@@ -116,7 +116,7 @@ class Arm:
     @classmethod
     def of(cls, scenario: Scenario) -> Arm:
         """Arm of ``scenario``."""
-        return cls(tuple(flat_layers(scenario)), flat_surface(scenario.tissues))
+        return cls(tuple(flat_layers(scenario)), flat_membrane(scenario.tissues))
 
     def respond(self, frequency: FloatArray, source: Disc, line: Sequence[float] | FloatArray) -> ComplexArray:
         """Displacement per force (n_frequency, 1 + n_line) [m/N] under ``source`` and along x."""

@@ -50,7 +50,7 @@ from .draws import (
     SOFT,
     Draw,
     draw_inputs,
-    each_name,
+    expanded,
     has_fascia,
     idle_inputs,
     is_bare,
@@ -328,14 +328,6 @@ def check_question(question: Question) -> None:
         raise ScenarioError(
             "rendering.zeros: a search for zero points in each draw takes days; set 'auto' or name them"
         )
-
-
-def expanded(held: Collection[str], scenario: Scenario) -> frozenset[str]:
-    """Names of inputs for names and groups; of those that each actuator has, the names of the ``scenario``'s."""
-    priors = load_priors()
-    names = {n for n, p in priors.inputs.items() if n in held or p.group in held}
-    each = {key for n in names if priors.inputs[n].each is not None for key in each_name(n, scenario)}
-    return frozenset({*names, *each, *({"tissue"} & set(held))})
 
 
 def _nominal(

@@ -30,9 +30,9 @@ from ...transfer import TransferMatrix
 from ...typing import FloatArray
 from ...usercode import is_code
 from .arm import without_bones
-from .draws import LAWS, draw_inputs, is_bare, load_priors, scenario_of
+from .draws import LAWS, draw_inputs, expanded, is_bare, load_priors, scenario_of, taped
 from .published import SHAH_ARMS, SHAH_STEPS, TARGETS, TOLERANCE, Arm, Target, fat_of, motor_ratios, observables
-from .run import Prediction, Question, check_question, expanded, predict
+from .run import Prediction, Question, check_question, predict
 from .statistics import (
     LEVELS,
     Draws,
@@ -81,8 +81,9 @@ def validate(
     aims = question.scenario.rendering.targets
     if aims != "all" and set(aims) != {p.name for p in outputs}:
         raise ScenarioError("validate compares with Table I: the scene must aim at the targets 1 to 9")
-    # as the thesis measured: each entry by one sweep
-    question = replace(question, scenario=question.scenario.changed({"measurement.repeats": 1}))
+    # as the thesis measured: each entry by one sweep, on tape
+    scenario = taped(question.scenario.changed({"measurement.repeats": 1}), question.held)
+    question = replace(question, scenario=scenario)
     check_question(question)
     # a G that gives no S is said before minutes of draws
     given = None if measured is None else _strengths_of(measured, question)

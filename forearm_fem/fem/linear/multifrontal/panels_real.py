@@ -1,11 +1,14 @@
 """Products of real panels with few right-hand sides; see :mod:`.panels`.
 
-Eight right-hand sides are 32 bytes: sums of eight columns stay in registers on every processor with AVX2.
+Eight right-hand sides are 32 bytes: sums of eight columns stay in registers on every processor with AVX2. With AVX-512
+sixteen are taken at once where there are as many, in half the time.
 """
 
 from __future__ import annotations
 
 from typing import Any
+
+import llvmlite.binding as llvm
 
 from ...kernels import simd as _lanes
 from ...kernels.jit import kernel
@@ -13,6 +16,7 @@ from .blas import REAL
 
 lanes: Any = _lanes  # intrinsics, which type checkers do not follow
 _VECTOR = 32  # bytes: eight right-hand sides
+_WIDE = 64 if llvm.get_host_cpu_features().get("avx512f", False) else 1 << 30  # the same of long registers
 _TILE = 512  # rows: their right-hand sides and those of eight columns stay in the nearest cache
 
 
@@ -21,14 +25,13 @@ def subtract_real_product(
     rows: int, columns: int, panel: int, leading: int, own: int, below: int, row: int, width: int
 ) -> None:
     """below (rows) -= panel own (columns)."""
+    wide = width // _WIDE * _WIDE
     for r in range(0, rows, _TILE):
         count, part = min(_TILE, rows - r), panel + REAL * r
-        for v in range(0, width, _VECTOR):
-            target, source = below + row * r + v, own + v
-            for k in range(0, columns - 7, 8):
-                _subtract_eight(count, part + leading * k, leading, source + row * k, target, row)
-            for k in range(columns // 8 * 8, columns):
-                _subtract_one(count, part + leading * k, source + row * k, target, row)
+        for v in range(0, wide, _WIDE):
+            _subtract(count, columns, part, leading, own + v, below + row * r + v, row, lanes.no_floats())
+        for v in range(wide, width, _VECTOR):
+            _subtract(count, columns, part, leading, own + v, below + row * r + v, row, lanes.no_eight_floats())
 
 
 @kernel
@@ -36,30 +39,45 @@ def subtract_real_transposed(
     rows: int, columns: int, panel: int, leading: int, below: int, own: int, row: int, width: int
 ) -> None:
     """own (columns) -= panel^T below (rows)."""
+    wide = width // _WIDE * _WIDE
     for r in range(0, rows, _TILE):
         count, part = min(_TILE, rows - r), panel + REAL * r
-        for v in range(0, width, _VECTOR):
-            source, target = below + row * r + v, own + v
-            for k in range(0, columns - 7, 8):
-                _gather_eight(count, part + leading * k, leading, source, target + row * k, row)
-            for k in range(columns // 8 * 8, columns):
-                _gather_one(count, part + leading * k, source, target + row * k, row)
+        for v in range(0, wide, _WIDE):
+            _gather(count, columns, part, leading, below + row * r + v, own + v, row, lanes.no_floats())
+        for v in range(wide, width, _VECTOR):
+            _gather(count, columns, part, leading, below + row * r + v, own + v, row, lanes.no_eight_floats())
 
 
 @kernel
-def _negative(address: int) -> Any:
-    return lanes.minus(lanes.no_eight_floats(), lanes.eight_floats_at(address))
+def _subtract(rows: int, columns: int, panel: int, leading: int, own: int, below: int, row: int, none: Any) -> None:
+    """The product for as many right-hand sides as there are zeros in the vector ``none``."""
+    for k in range(0, columns - 7, 8):
+        _subtract_eight(rows, panel + leading * k, leading, own + row * k, below, row, none)
+    for k in range(columns // 8 * 8, columns):
+        _subtract_one(rows, panel + leading * k, own + row * k, below, row, none)
 
 
 @kernel
-def _subtract_eight(rows: int, panel: int, leading: int, own: int, below: int, row: int) -> None:
-    a, b, c, d = _negative(own), _negative(own + row), _negative(own + 2 * row), _negative(own + 3 * row)
-    e, f, g, h = (
-        _negative(own + 4 * row), _negative(own + 5 * row), _negative(own + 6 * row), _negative(own + 7 * row)
-    )  # fmt: skip
+def _gather(rows: int, columns: int, panel: int, leading: int, below: int, own: int, row: int, none: Any) -> None:
+    for k in range(0, columns - 7, 8):
+        _gather_eight(rows, panel + leading * k, leading, below, own + row * k, row, none)
+    for k in range(columns // 8 * 8, columns):
+        _gather_one(rows, panel + leading * k, below, own + row * k, row, none)
+
+
+@kernel
+def _negative(address: int, none: Any) -> Any:
+    return lanes.minus(none, lanes.vector_at(address, none))
+
+
+@kernel
+def _subtract_eight(rows: int, panel: int, leading: int, own: int, below: int, row: int, none: Any) -> None:
+    a, b, c = _negative(own, none), _negative(own + row, none), _negative(own + 2 * row, none)
+    d, e, f = _negative(own + 3 * row, none), _negative(own + 4 * row, none), _negative(own + 5 * row, none)
+    g, h = _negative(own + 6 * row, none), _negative(own + 7 * row, none)
     for _ in range(rows):
         at = panel
-        one, two = lanes.plus_scaled_by(lanes.eight_floats_at(below), a, at), lanes.no_eight_floats()
+        one, two = lanes.plus_scaled_by(lanes.vector_at(below, none), a, at), none
         at += leading
         two = lanes.plus_scaled_by(two, b, at)
         at += leading
@@ -80,20 +98,19 @@ def _subtract_eight(rows: int, panel: int, leading: int, own: int, below: int, r
 
 
 @kernel
-def _subtract_one(rows: int, panel: int, own: int, below: int, row: int) -> None:
-    a = _negative(own)
+def _subtract_one(rows: int, panel: int, own: int, below: int, row: int, none: Any) -> None:
+    a = _negative(own, none)
     for _ in range(rows):
-        lanes.store(below, lanes.plus_scaled_by(lanes.eight_floats_at(below), a, panel))
+        lanes.store(below, lanes.plus_scaled_by(lanes.vector_at(below, none), a, panel))
         below += row
         panel += REAL
 
 
 @kernel
-def _gather_eight(rows: int, panel: int, leading: int, below: int, own: int, row: int) -> None:
-    none = lanes.no_eight_floats()
+def _gather_eight(rows: int, panel: int, leading: int, below: int, own: int, row: int, none: Any) -> None:
     a, b, c, d, e, f, g, h = none, none, none, none, none, none, none, none
     for _ in range(rows):
-        right, at = lanes.eight_floats_at(below), panel
+        right, at = lanes.vector_at(below, none), panel
         a = lanes.plus_scaled_by(a, right, at)
         at += leading
         b = lanes.plus_scaled_by(b, right, at)
@@ -122,10 +139,10 @@ def _gather_eight(rows: int, panel: int, leading: int, below: int, own: int, row
 
 
 @kernel
-def _gather_one(rows: int, panel: int, below: int, own: int, row: int) -> None:
-    a = lanes.no_eight_floats()
+def _gather_one(rows: int, panel: int, below: int, own: int, row: int, none: Any) -> None:
+    a = none
     for _ in range(rows):
-        a = lanes.plus_scaled_by(a, lanes.eight_floats_at(below), panel)
+        a = lanes.plus_scaled_by(a, lanes.vector_at(below, none), panel)
         below += row
         panel += REAL
     _subtract_from(own, a)
@@ -133,4 +150,4 @@ def _gather_one(rows: int, panel: int, below: int, own: int, row: int) -> None:
 
 @kernel
 def _subtract_from(place: int, sums: Any) -> None:
-    lanes.store(place, lanes.minus(lanes.eight_floats_at(place), sums))
+    lanes.store(place, lanes.minus(lanes.vector_at(place, sums), sums))

@@ -66,6 +66,13 @@ export class App {
     return METHODS.map((method) => ({ key: method, method, experiment, title: "" }));
   }
 
+  /** Put a method in focus: scales and drives are its own, and a still picture goes to its moment. @param {Method} method */
+  attend(method) {
+    this.focus = method;
+    if (!this.playing) this.arms.time = this.moment;
+    this.rescale();
+  }
+
   /** Change settings and work everything out again; a change that cannot be is said, and undone. @param {Partial<Settings>} change */
   set(change) {
     const before = this.experiment.settings;
@@ -91,15 +98,16 @@ export class App {
       this.kept.set({ target, place, zeros, rule, amplitude, window, wavelet });
     }
     arms.slots = this.slots;
-    const { common } = this;
+    /** @type {[import("./arms.js").Slot, import("./field.js").Track][]} */
+    const tracks = [];
     arms.shown.clear();
     for (const slot of arms.slots) {
       const { experiment: own } = slot, o = own.outcome(slot.method);
       if (!o.sent || !o.spectra || own.settings.arm) continue; // of a drawn arm only the points are known
       const force = own.changeable ? own.forces() : null;
-      const track = field.track(force, o.sent, o.spectra, index, record.n / record.rate, this.span, own.settings.contacts);
-      arms.show(slot, track, this.factor, common, this.map);
+      tracks.push([slot, field.track(force, o.sent, o.spectra, index, record.n / record.rate, this.span, own.settings.contacts)]);
     }
+    this.show(tracks);
     const { device } = experiment.settings;
     arms.live = experiment.settings.arm > 0;
     arms.lifted = device.touching.map((t, k) => !t || device.gain[k] === 0);
@@ -156,12 +164,17 @@ export class App {
     return [first, Math.min(record.n, first + Math.round((to - from) * record.rate) + 1)];
   }
 
+  /** Colours and magnification of all panels: each its own, or the same. @param {[import("./arms.js").Slot, import("./field.js").Track][]} tracks */
+  show(tracks) {
+    const { arms, common, factor, map } = this, reach = common === null ? 0 : Math.max(0, ...tracks.map(([, track]) => arms.highest(track)));
+    for (const [slot, track] of tracks) arms.show(slot, track, factor, common, map, reach);
+  }
+
   /** Scales alone, without new drives. */
   rescale() {
     const { experiment, arms } = this;
     if (this.kept && this.beside && !arms.shown.has(this.focus)) return this.refresh(); // another method has other tracks
-    const { common } = this;
-    for (const slot of arms.slots) { const shown = arms.shown.get(slot.key); if (shown) arms.show(slot, shown.track, this.factor, common, this.map); }
+    this.show(arms.slots.flatMap((slot) => { const shown = arms.shown.get(slot.key); return shown ? [[slot, shown.track]] : []; }));
     for (const tell of this.listeners) tell();
     arms.draw(experiment);
   }

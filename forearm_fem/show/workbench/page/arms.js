@@ -90,9 +90,9 @@ export class Arms {
   }
 
   /** What moves and at which scales: as pictures and films are drawn. @param {Slot} slot @param {Track} track @param {number} factor
-   * @param {number | null} limit a common one @param {boolean} map whether rms is shown */
-  show({ key, method, experiment }, track, factor, limit, map) {
-    const most = limit ?? this.largest(experiment, method), reach = this.highest(track);
+   * @param {number | null} limit a common one @param {boolean} map whether rms is shown @param {number} common the largest displacement of all panels; 0: each by its own */
+  show({ key, method, experiment }, track, factor, limit, map, common) {
+    const most = limit ?? this.largest(experiment, method), reach = common || this.highest(track);
     const rms = map ? this.squares.get(track) ?? rmsOf(this.field.skin, track) : null;
     if (rms) this.squares.set(track, rms);
     this.shown.set(key, { track, limit: rms ? nice(most / 2) : most, gain: most > 0 && !rms ? nice((factor * BULGE) / Math.max(reach, 1e-30)) : 0, rms });

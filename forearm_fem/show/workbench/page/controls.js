@@ -362,7 +362,7 @@ export function keys(app, bar, theme) {
       " ": () => { app.playing = !app.playing; bar.said(); }, ArrowLeft: () => (held ? turn(0.08, 0) : step(-1)), ArrowRight: () => (held ? turn(-0.08, 0) : step(1)),
       ArrowUp: () => turn(0, 0.06), ArrowDown: () => turn(0, -0.06), "+": () => nearer(0.9), "=": () => nearer(0.9), "-": () => nearer(1.1),
       "[": () => faster(1), "]": () => faster(-1), r: () => { arms.view = { ...arms.home }; arms.draw(experiment); }, t: theme, "?": () => dialog.showModal(),
-      m: () => { app.focus = METHODS[(METHODS.indexOf(app.focus) + 1) % METHODS.length]; app.rescale(); },
+      m: () => app.attend(METHODS[(METHODS.indexOf(app.focus) + 1) % METHODS.length]),
       a: () => stepArm(app, 1), A: () => stepArm(app, -1),
       s: () => { if (bar.section.disabled) return app.say(bar.section.title); bar.section.selectedIndex = (bar.section.selectedIndex + 1) % bar.section.options.length; arms.section = bar.section.value; app.rescale(); },
     };

@@ -28,16 +28,27 @@ export function heads(app) {
   replace($("heads"), ...app.slots.map(({ key, method, experiment, title }) => {
     const o = experiment.outcome(method), range = experiment.interval(method, settings.target);
     const band = experiment.arms(method, settings.target);
-    const why = o.problem ? o.problem : range ? `${say(range[0])} to ${say(range[1])} by the errors of G` : experiment === app.experiment ? whyUnknown(app) : "";
+    const why = o.problem ? o.problem : range ? `${interval(range, o.strength, " to ")} by the errors of G` : experiment === app.experiment ? whyUnknown(app) : "";
     const beside = nearMotor(experiment.outputs[settings.target], experiment.inputs, experiment.content.clearance) ? "not counted: under or beside a motor, with which the skin moves" : "";
     return h("div", { class: "head" },
       h("div", {},
-        h("button", { type: "button", class: CLASS[method], "aria-pressed": String(app.focus === method), onclick: () => { app.focus = method; app.rescale(); }, text: `${title}${method}` }),
-        h("div", { class: "s", "data-method": method }, whatIsS(),  o.problem ? "–" : say(o.strength)),
+        h("button", { type: "button", class: CLASS[method], "aria-pressed": String(app.focus === method), onclick: () => app.attend(method), text: `${title}${method}` }),
+        h("div", { class: "s", "data-method": method }, whatIsS(), o.problem ? "–" : strengthText(o.strength)),
         h("div", { class: "why", text: why }), beside ? h("div", { class: "why beside", text: beside }) : null,
         band ? h("div", { class: "why", "data-arms": method, text: `people ${say(band[0], 2)} to ${say(band[2], 2)}, median ${say(band[1], 2)}` }) : null),
       h("div", { class: "foot", text: arms.words(method, experiment, key) }));
   }));
+}
+
+/** S to three digits, the last of which may be 0. @param {number} s */
+function strengthText(s) {
+  return Number.isFinite(s) && s > 0 && s < 100 ? s.toFixed(s < 1 ? 3 : s < 10 ? 2 : 1) : say(s);
+}
+
+/** Ends of an interval of S; one number where it is narrower than the digits. @param {[number, number]} range @param {number} s @param {string} to */
+function interval(range, s, to) {
+  const [low, high] = range.map(strengthText);
+  return low === high ? `± less than ${say(10 ** (Math.floor(Math.log10(s)) - 2), 1)}` : `${low}${to}${high}`;
 }
 
 /** The letter S, with what it is when pointed at or focused. */
@@ -176,8 +187,9 @@ function fill(app, version, row) {
     if (!cell) continue;
     const s = experiment.strength(method, row), range = experiment.interval(method, row);
     const band = experiment.arms(method, row), before = app.kept?.strength(method, row);
-    cell.replaceChildren(say(s), ...(range ? [" ", h("small", { text: `(${say(range[0])}–${say(range[1])})` })] : []), ...(band ? [" ", h("small", { class: "people", text: `people ${say(band[0], 2)}–${say(band[2], 2)}` })] : []),
-      ...(before === undefined ? [] : [" ", h("small", { class: s > before ? "gain" : "loss", text: `kept ${say(before)}` })]));
+    const told = strengthText(s), wide = range && range.map(strengthText).some((end) => end !== told), was = before === undefined ? "" : strengthText(before);
+    cell.replaceChildren(told, ...(wide ? [" ", h("small", { text: `(${interval(range, s, "–")})` })] : []), ...(band ? [" ", h("small", { class: "people", text: `people ${say(band[0], 2)}–${say(band[2], 2)}` })] : []),
+      ...(before === undefined ? [] : [" ", h("small", { class: `people ${was === told ? "" : s > before ? "gain" : "loss"}`, text: `kept ${was}` })]));
     /** @type {HTMLElement} */ (cell).dataset.value = String(s);
   }
   setTimeout(() => fill(app, version, row + 1), 0);
