@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from forearm_fem.accuracy.discretisation import NumericalDispersion, discretisation_error, remaining_error
+from forearm_fem.accuracy.discretisation import estimated_errors, order_of, remaining_error
 from forearm_fem.engines.second_mesh import second_mesh
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.layered import Disc, layered_compliance
@@ -184,9 +184,7 @@ def effectivities(slabs: Sequence[Slab]) -> Iterator[Effectivity]:
             model = slab_model(scenario, mesh=mesh)
             fine = slab_response(model, band.tolist())[:, 1:]
             coarse = slab_response(slab_model(scenario, mesh=second.mesh), band.tolist())[:, 1:]
-            points, contacts = (tuple(p for p in model.ports if p.kind == kind) for kind in ("point", "contact"))
-            waves = NumericalDispersion.of(scenario, model.space.mesh, points, contacts)
-            lags = (waves.phases(scenario, band, scale) for scale in (1.0, max(second.ratio, 1.0)))
-            rule = discretisation_error(coarse[:, :, None], fine[:, :, None], band, second.ratio, *lags)
+            order = order_of(scenario)
+            rule = estimated_errors(coarse[:, :, None], fine[:, :, None], band, second.ratio, order)
             true, middle = band_error(fine, truth), float(np.abs(fine[1] - truth[1]).max() / np.abs(truth[1]).max())
             yield Effectivity(scene_name(slab), scale, model.operator.n, rule.band, true, float(rule.error[1]), middle)

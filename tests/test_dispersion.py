@@ -1,37 +1,20 @@
-"""How late waves arrive on elements too large for them, and that agreeing meshes do not hide it."""
+"""Elements too large for the waves, and points beside discs of pressure: two meshes that agree hide no error."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from forearm_fem.accuracy.discretisation import NumericalDispersion, phase_error
 from forearm_fem.device import close_loop
 from forearm_fem.engines.layered import solve_layered
 from forearm_fem.engines.notes import near_disc_notes
 from forearm_fem.engines.simulation import simulate
-from forearm_fem.geometry.build import build_mesh
-from forearm_fem.geometry.device.place import place_ports
 from forearm_fem.questions.run import Run, run_solve
 from forearm_fem.results.run import read_run
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.transfer import band_error, relative_error, relative_error_at, total_error
 
 FREQUENCY = np.array([180.0, 210.0])
-
-
-def bloch(order: int, kh: float) -> float:
-    """Wavenumber times h of a wave on a uniform line of elements, from their stiffness and consistent mass."""
-    k2 = kh**2
-    if order == 1:
-        return float(np.arccos((6 - 2 * k2) / (6 + k2)))
-    return float(np.arccos((240 - 104 * k2 + 3 * k2**2) / (240 + 16 * k2 + k2**2)))
-
-
-@pytest.mark.parametrize(("order", "kh"), [(1, 0.1), (2, 0.3)])
-def test_phase_error_is_that_of_a_line_of_elements(order, kh):
-    """To leading order: what follows is smaller by (k h)^2, below 1 %."""
-    assert phase_error(order, np.array(kh)) == pytest.approx(abs(bloch(order, kh) / kh - 1), rel=0.01)
 
 
 def coarse_slab(size: float) -> Scenario:
@@ -53,7 +36,7 @@ def coarse_slab(size: float) -> Scenario:
 
 
 def test_two_meshes_that_carry_no_wave_state_half_their_error_at_least():
-    """The change between them, 0.4 and 0.8 of G, states a quarter of it at 210 Hz."""
+    """Nodes 1.4 times as far apart: 1.0 and 1.5 times the true error is stated."""
     scenario = coarse_slab(6e-3)
     found = simulate(scenario)
     truth = close_loop(solve_layered(scenario, FREQUENCY), scenario.device)
@@ -61,11 +44,11 @@ def test_two_meshes_that_carry_no_wave_state_half_their_error_at_least():
     error = relative_error(found.transfer.values, truth.values)
     assert error[1] > 0.3
     assert (np.array(estimate.per_frequency) > error / 2).all()
-    assert "lag of waves" in estimate.method
+    assert (np.array(estimate.per_frequency) < 3 * error).all()
 
 
 def test_a_mesh_on_which_waves_are_late_states_half_its_error_at_least():
-    """Second order, a point 2.5 mm from the disc's rim: order 1.85 stated .39 of the error at 200 Hz, a true .08."""
+    """Second order, a point 2.5 mm from the disc's rim: .56 of the error at 200 Hz, a true .08, is stated."""
     layers = [{"tissue": "skin", "thickness": 1.2e-3}, {"tissue": "fat", "thickness": 3e-3}]
     limb = {"shape": "slab", "length": 0.09, "width": 0.09, "depth": 0.02, "symmetry": ["x", "y"], "layers": layers}
     frequency = np.array([150.0, 200.0])
@@ -86,7 +69,7 @@ def test_a_mesh_on_which_waves_are_late_states_half_its_error_at_least():
     error = relative_error(found.transfer.values, truth.values)
     assert error[1] > 0.05
     assert (np.array(estimate.per_frequency) > error / 2).all()
-    assert "(1.85 where waves are latest)" not in estimate.method
+    assert (np.array(estimate.per_frequency) < 3 * error).all()
 
 
 def test_points_beside_a_disc_of_pressure_on_second_order_are_said():
@@ -147,18 +130,6 @@ def test_points_beside_a_disc_of_pressure_state_half_their_error_at_least():
     assert band_error(fine.values, layered.values) < 0.05
     assert (stated > relative_error(fine.values, layered.values) / 2).all()
     assert total_error(fine.errors) < 5 * band_error(fine.values, layered.values)
-
-
-def test_the_lag_falls_with_the_fourth_power_of_the_size_of_second_order_elements():
-    scenario = coarse_slab(6e-3)
-    mesh = build_mesh(scenario)
-    ports = place_ports(scenario, mesh)
-    points, contacts = (tuple(p for p in ports if p.kind == kind) for kind in ("point", "contact"))
-    waves = NumericalDispersion.of(scenario, mesh, points, contacts)
-    fine, finer = (waves.phases(scenario, FREQUENCY, scale) for scale in (0.2, 0.1))
-    assert fine.shape == (2, 3, 1)
-    assert fine / finer == pytest.approx(np.full((2, 3, 1), 16.0))
-    assert (np.diff(fine[:, :, 0], axis=1) > 0).all()  # later the longer the way
 
 
 def test_a_command_says_so_too(tmp_path):

@@ -405,7 +405,7 @@ def test_panels_are_multiplied_as_by_numpy(rows, columns, width, real):
     assert np.abs(own - exact_own).max() < 1e-5 * np.abs(exact_own).max()
 
 
-@pytest.mark.parametrize(("kernel", "columns"), [(panels._gather_eight, 8), (panels._gather_two, 2)])
+@pytest.mark.parametrize(("kernel", "columns"), [(panels.gather_eight, 8), (panels.gather_two, 2)])
 def test_kernels_of_either_kind_of_processor_gather_as_numpy_does(kernel, columns):
     """Only one of them is taken by the processor that runs this; leading dimensions are longer than what is read."""
     random, rows = np.random.default_rng(columns), 37

@@ -192,7 +192,7 @@ def test_default_sizes_and_explicit_ones():
     assert element_sizes(finer).grid == pytest.approx(sizes.grid / 2)  # h ~ accuracy^(1/4)
     block = {"limb": {"shape": "slab", "length": 0.2, "width": 0.2, "depth": 0.08}}
     assert element_sizes(parse_scenario(block)).far == pytest.approx(20e-3)
-    assert element_sizes(parse_scenario({**block, "accuracy": 0.05 / 16})).far == pytest.approx(10e-3)
+    assert element_sizes(parse_scenario({**block, "accuracy": 0.027 / 16})).far == pytest.approx(10e-3, rel=1e-3)
     own = parse_scenario({"mesh": {"size_grid": 3e-3, "sublayers": {"fat": 4}}})
     assert element_sizes(own).grid == 3e-3
     assert element_sizes(own).sublayers == (1, 4)

@@ -491,7 +491,7 @@ def test_simulate_takes_a_library_and_says_what_is_unknown(slab, library):
     assert any(e.source == "truncation" and e.band > 0 for e in result.transfer.errors)
     second = replace(library, coarse=replace(library.fine, left=1.02 * library.fine.left))
     errors = {e.source: e for e in simulate(slab, engine=second).transfer.errors}
-    assert 1e-3 < errors["discretisation"].band < 0.02  # 2 % on nodes twice as far apart, by at least order 1.85
+    assert 0.02 / 2 < errors["discretisation"].band < 0.05  # 2 % of the limb's part, by order 2 all of it is left
 
 
 def test_a_library_comes_back_from_its_file_and_damage_is_told(slab, library, tmp_path, monkeypatch):

@@ -297,24 +297,6 @@ def test_what_elements_err_by_is_estimated_for_each_arm(on_coarse_mesh, scene_on
 
 
 @pytest.mark.slow
-def test_waves_that_are_late_on_the_mesh_are_so_for_an_arm_as_for_a_scene(on_coarse_mesh):
-    """A tenth of a radian: order 1.3 is assumed of a change that is small, instead of 1.85, for draws and for fits."""
-
-    class Late:
-        def phases(self, _: Scenario, frequency: np.ndarray, scale: float) -> np.ndarray:
-            return np.full((len(frequency), 2, 2), 0.1 * scale)
-
-    meshes, found = on_coarse_mesh.meshes, on_coarse_mesh.model.compliance(TWO_MESHES, LOW)
-    in_time, late = (m.error(TWO_MESHES, found).per_frequency for m in (meshes, replace(meshes, lags=Late())))
-    small = np.array(late) < 0.115  # beyond, the change itself says more than any order
-    assert small.sum() > 1
-    assert np.array(late)[small] == pytest.approx(
-        np.array(in_time)[small] * (meshes.ratio**1.85 - 1) / (meshes.ratio**1.3 - 1)
-    )
-    assert (replace(meshes, lags=Late()).share(TWO_MESHES, found) > meshes.share(TWO_MESHES, found)).any()
-
-
-@pytest.mark.slow
 def test_what_elements_err_by_is_known_for_each_pair(on_coarse_mesh):
     """Its largest pair is what is stated, or the whole band's; the answers that an arm may have differ by it, too."""
     arm = on_coarse_mesh

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..accuracy.discretisation import DiscretisationError, NumericalDispersion, discretisation_error, spread_change
+from ..accuracy.discretisation import DiscretisationError, estimated_errors, order_of, spread_change
 from ..accuracy.estimates import PairErrors
 from ..errors import MeshError
 from ..geometry.cache import cached_mesh
@@ -25,11 +25,11 @@ _PROBED = 20  # frequencies at which the second mesh is asked
 @dataclass(frozen=True, eq=False)
 class ArmMeshes:
     """The ``second`` mesh of the scene as a parametric model, its nodes ``ratio`` times as far apart as the first's,
-    whose waves lag by ``lags``."""
+    and the ``order`` with which G converges."""
 
     second: ParametricModel
     ratio: float
-    lags: NumericalDispersion
+    order: float
 
     def error(self, arm: Scenario, found: Compliance) -> ErrorEstimate:
         """:meth:`missed` without its shape."""
@@ -38,9 +38,9 @@ class ArmMeshes:
     def missed(self, arm: Scenario, found: Compliance) -> tuple[ErrorEstimate, PairErrors]:
         """Of the compliance ``found`` for an ``arm`` on the first mesh, by the rule for a scene of its own.
 
-        That is from the change on the second mesh and from the lag of waves (:func:`.discretisation_error`). Over pairs
-        of ports its shape is that of the change, and the largest of points under contacts is e(f), but e_band at least,
-        as two meshes agree by chance.
+        That is from the change on the second mesh (:func:`.estimated_errors`). Over pairs of ports its shape is that of
+        the change, and the largest of points under contacts is e(f), but e_band at least, as two meshes agree by
+        chance.
         """
         low, high = np.sqrt(found.frequency[[0, -1]])  # probes are dense where frequencies are low
         wanted = np.linspace(low, high, _PROBED) ** 2
@@ -49,15 +49,12 @@ class ArmMeshes:
         part = replace(found, frequency=frequency, values=found.values[some])
         second = self._second(arm, frequency)
         own, other = part.block("point", "contact"), second.block("point", "contact")
-        rule = self._error(arm, frequency, other, own)
-        shape, size = spread_change(second.values, part.values, frequency), np.abs(own).max(axis=(1, 2))
+        rule = self._error(frequency, other, own)
+        shape = spread_change(second.values, part.values, frequency)
         points, contacts = part.indices("point"), part.indices("contact")
         largest = shape[:, points][:, :, contacts].max(axis=(1, 2))
         known = np.divide(np.maximum(rule.error, rule.band), largest, out=np.zeros_like(largest), where=largest > 0)
         shares = known[:, None, None] * shape
-        for x, lost in zip(shares, rule.unseen / size[:, None, None], strict=True):
-            x[np.ix_(points, contacts)] = np.maximum(x[np.ix_(points, contacts)], lost)
-            x[np.ix_(contacts, points)] = x[np.ix_(points, contacts)].T
         return ErrorEstimate(
             "discretisation", rule.band,
             f"change of the arm's compliance on a second mesh, nodes {self.ratio:.2g} times as far apart, at "
@@ -72,18 +69,15 @@ class ArmMeshes:
         """
         own, frequency = found.block("point", "contact"), found.frequency
         other = self._second(arm, frequency).block("point", "contact")
-        error, change = self._error(arm, frequency, other, own).error, relative_error(other, own)
+        error, change = self._error(frequency, other, own).error, relative_error(other, own)
         return np.asarray(np.divide(error, change, out=np.zeros_like(error), where=change > 0))
 
     def _second(self, arm: Scenario, frequency: FloatArray) -> Compliance:
         return Compliance(frequency, self.second.bare(arm, frequency), self.second.ports)
 
-    def _error(
-        self, arm: Scenario, frequency: FloatArray, other: ComplexArray, own: ComplexArray
-    ) -> DiscretisationError:
+    def _error(self, frequency: FloatArray, other: ComplexArray, own: ComplexArray) -> DiscretisationError:
         """Of what points do under contacts (n_frequency, n_point, n_contact), by the rule of a scene's own."""
-        lag, coarser = (self.lags.phases(arm, frequency, scale) for scale in (1.0, self.ratio))
-        return discretisation_error(other, own, frequency, self.ratio, lag, coarser)
+        return estimated_errors(other, own, frequency, self.ratio, self.order)
 
 
 def arm_meshes(
@@ -100,5 +94,4 @@ def arm_meshes(
     if second.ratio < 1:
         raise MeshError("only a finer second mesh can be made, which costs more than all else")
     model = parametric_model(second.scenario, base=base, draws=draws, mesh=second.mesh, progress=progress)
-    contacts, points = ([p for p in model.ports if p.kind == kind] for kind in ("contact", "point"))
-    return ArmMeshes(model, second.ratio, NumericalDispersion.of(scenario, mesh, tuple(points), tuple(contacts)))
+    return ArmMeshes(model, second.ratio, order_of(scenario))

@@ -85,13 +85,13 @@ _BYTES = 0.26e9, 22_700.0, 1.25
 _SECONDS = 7.0, 131_000.0, 1.8
 _GRADED = 1.4  # third order around the ports: as many unknowns lie closer together (forearm, 207 000 unknowns)
 _FRONTS = 1.3  # the multifrontal solver stores zeros of its panels, and what fronts leave to others
-_PASSING = 0.51  # of that, where certificates keep no factors: real ones, or an elimination's stack
+_PASSING = 0.62  # of that, where certificates keep no factors: real ones, or an elimination's stack
 _REST = 0.7e9  # bytes: libraries, and the operator of a scene of any size
 _SMALL = 15.0  # seconds that evaluating and certifying a reduced model takes for a mesh of any size
 _DERIVATIVES = 45  # about a rate, where 1e-4 is asked in 10-500 Hz
 _FROM_RATE = 1.6  # a sweep from a rate costs as much as so many expansions and certificates; measured with AVX-512
 _COPIES = 3  # of all signals: themselves, their spectra, and the array that is written
-_ESTIMATE = 1.2  # with the coarser mesh's solve
+_ESTIMATE = 1.5  # with the coarser mesh's solve
 _WIDEST = 300.0  # mm across: a stout thigh
 _OBLONG = 1.5  # times as long in y or z as in x: more likely turned than cut so short
 

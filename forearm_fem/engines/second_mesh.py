@@ -16,8 +16,8 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb
 
-# Milder ones where the first cannot be made; a finer one last, as it costs more than the main solve.
-_RATIOS = (COARSER, 1.6, 1.3, 0.8)
+# Others where the first cannot be made; a finer one last, as it costs more than the main solve.
+_RATIOS = (COARSER, 1.7, 1.3, 0.8)
 # On a user's mesh, which has one size, the order changes instead: nodes are h/order apart.
 _OTHER_ORDER = {"P1": ("P2", 1 / 2), "P2": ("P3", 2 / 3), "P3": ("P2", 3 / 2)}
 
@@ -37,7 +37,7 @@ class Second:
 
 
 def second_mesh(scenario: Scenario, mesh: TissueMesh, *, base: Path) -> Second:
-    """The coarsest second mesh that can be made: sizes twice as large, or milder ones, or finer.
+    """The second mesh: sizes 1.4 times as large, or what else can be made.
 
     A user's ``mesh`` is kept and its element pair changed. Raises :class:`MeshError` saying why there is none.
     """

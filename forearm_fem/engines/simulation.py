@@ -215,7 +215,7 @@ def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> 
     """G and its errors from compliances: the device enters here, at no further FE solve."""
     transfer = finite(close_loop(solved.compliance, scenario.device))
     coarse = finite(close_loop(solved.coarse, scenario.device)) if solved.coarse else None
-    errors = [*solved.unknown, *([discretisation_of(transfer, coarse, scenario, mesh)] if coarse else [])]
+    errors = [*solved.unknown, *([discretisation_of(transfer, coarse, scenario)] if coarse else [])]
     truncations = []
     if solved.freed:
         freed = finite(close_loop(solved.freed, scenario.device))

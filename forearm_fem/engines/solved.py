@@ -108,6 +108,7 @@ def solve(
             scenario, mesh, frequency, progress=progress, kept=parts, tolerance=tolerance, widen=True
         )
         main = _packed(scenario, solution, frequency)
+        del solution  # operator and basis, gigabytes on a fine mesh, are of no use to the second one
         if shelf.keep("main", main):
             parts.remove()
     # what freed ends do not show: pressure hardly feels dashpots of shear, so that a slab's ends are as good as free

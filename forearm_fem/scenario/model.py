@@ -37,7 +37,7 @@ from .tissues import Tissues
 # ones it pays always: rims of small cones left 5 % of their receptance to second order.
 _THIRD_ORDER_PAYS = 0.05
 # [m] from the rim of a disc of pressure: nearer points err alike on two meshes of second order, and as little as a
-# tenth of their error was stated; 9.5 mm away no frequency stated less than 0.7 of it (decision 0035).
+# tenth of their error was stated; 9.5 mm away no frequency stated less than 0.7 of it (decision 0015).
 _BESIDE = 8e-3
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ...accuracy.discretisation import COARSER
 from ...errors import ForearmError, ScenarioError
 from ...laws import KelvinVoigt
 from ...layered.integrals import Medium
@@ -46,7 +47,6 @@ def load_library(path: str | Path) -> ArmLibrary:
 
 # One long run per arm: mesh, one factorisation, a space for all loads on the patch, and the layered model's tables.
 
-COARSER = 2.0  # size ratio of the second mesh
 _DISC = 8e-3  # [m] radius of the one contact that the mesh is made around
 
 

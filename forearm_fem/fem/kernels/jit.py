@@ -30,8 +30,13 @@ _SOURCES = (_FEM / "kernels", _FEM / "linear" / "multifrontal")
 
 
 def kernel(function: F) -> F:
-    """``function`` compiled without the interpreter's lock; its machine code is kept between runs."""
-    compiled: Any = numba.njit(nogil=True)(function)
+    """``function`` compiled without the interpreter's lock; its machine code is kept between runs.
+
+    One whose name begins with an underscore is called by kernels only: it has no entry for Python, which would take as
+    long to compile as a small kernel itself, and calling it from there ends the process.
+    """
+    options: dict[str, Any] = {"no_cfunc_wrapper": True, "no_cpython_wrapper": function.__name__.startswith("_")}
+    compiled: Any = numba.njit(nogil=True, **options)(function)
     if (folder := kernels_folder()) is not None:
         compiled._cache = KeptCode(f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}", folder)
     return cast(F, compiled)

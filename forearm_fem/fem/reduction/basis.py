@@ -243,7 +243,7 @@ def orthonormal_extension(
     return new @ half, np.vstack([known, (directions @ half).T @ gram])
 
 
-def rough_extension(basis: Basis, blocks: Sequence[FloatArray], n_u: int, *, drop: float) -> list[NDArray[np.float32]]:
+def rough_extension(basis: Basis, blocks: Sequence[Columns], n_u: int, *, drop: float) -> list[NDArray[np.float32]]:
     """New columns of ``blocks`` (n, k), in turn and in single precision (:func:`orthonormal_extension`).
 
     Seven times as fast on hundreds of columns. What is added is orthonormal to the basis to 1e-6 / ``drop``: enough

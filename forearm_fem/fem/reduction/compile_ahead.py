@@ -106,12 +106,10 @@ def _project(upper: csr_array, loads: FloatArray) -> None:
     matrices.add_products_in_place([turning.copy()], weights.astype(complex), turning)
     matrices.real_sum(weights, [loads])
     single = loads.astype(np.float32)
-    for columns in (single, loads):  # directions for other tissues are kept in double precision
-        matrices.products(columns)(0, slice(0, _UNKNOWNS))
+    matrices.products(single)(0, slice(0, _UNKNOWNS))
     for block in (single, single[:, :-1]):  # a basis has whole blocks and parts of some
         basis = Basis().with_block(block)
         basis.subtract_in_place(loads.copy(), basis.inner(loads))
-    Basis().with_block(loads.copy()).inner(loads)
 
 
 if __name__ == "__main__":

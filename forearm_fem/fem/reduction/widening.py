@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...typing import ComplexArray, FloatArray
 from ..assembly.model import ForearmModel
-from ..assembly.operator import WeightedSum
+from ..assembly.operator import AffineOperator, WeightedSum
 from ..linear.direct import watched
 from .affine import AffineReduced, with_last_columns
 from .basis import rough_extension
@@ -17,6 +18,7 @@ from .basis import rough_extension
 _SHEAR, _OTHER = ((3.0, 1.0), (1 / 3, 1.0), (1.0, 0.25)), ((1.5, 1.5),)
 _PLACES = (0.15, 0.55)  # parts of the band
 _KEPT = 0.5  # of the residuals, the strongest: the others cost as much and tell little
+_AT_ONCE = 32  # columns that are worked with together
 _DROP = 3e-2  # of a direction's length: weaker ones are known
 
 
@@ -29,17 +31,46 @@ def widened(
     half to a tenth as much as the first, and the change between the two is the measure of that. Forces on contacts
     alone are looked at: an error is that of two states multiplied.
     """
-    rest = np.hstack(list(_residuals(model, reduced, frequency)))
-    values, vectors = np.linalg.eigh(rest.T @ rest)
+    rest = _residuals(model, reduced, frequency)
+    values, vectors = np.linalg.eigh((rest.T @ rest).astype(float))
     count = min(int(np.ceil(_KEPT * rest.shape[1])), int(np.sum(values > 0)))
-    found = solve(rest @ vectors[:, len(values) - count :])
-    columns = np.hstack(rough_extension(reduced.basis, [found], model.operator.n_displacements, drop=_DROP))
-    return with_last_columns(reduced, model, columns.astype(float))
+    strong = vectors[:, len(values) - count :].astype(np.float32)
+    found = np.empty((len(rest), count), np.float32)
+    for some in (slice(k, k + _AT_ONCE) for k in range(0, count, _AT_ONCE)):
+        found[:, some] = solve((rest @ strong[:, some]).astype(float))
+    del rest  # as large as the basis
+    added = rough_extension(reduced.basis, [found], model.operator.n_displacements, drop=_DROP)
+    return with_last_columns(reduced, model, np.hstack(added))
 
 
-def _residuals(model: ForearmModel, reduced: AffineReduced, frequency: FloatArray) -> Iterator[FloatArray]:
-    """Residuals (n, 2 n_force), real parts, then imaginary ones, of forces that make displacements of unit length."""
+def _residuals(model: ForearmModel, reduced: AffineReduced, frequency: FloatArray) -> NDArray[np.float32]:
+    """Residuals (n, 2 n_force n_modulus), real parts, then imaginary ones, of forces that make displacements of unit
+    length."""
     operator, loaded = model.operator, watched(model)[1]
+    moduli = list(_other_moduli(operator, frequency))
+    rest, width = np.empty((operator.n, 2 * len(loaded) * len(moduli)), np.float32), 2 * len(loaded)
+    together = max(1, _AT_ONCE // width)  # moduli whose solutions are combined in one pass over the basis
+    for k in range(0, len(moduli), together):
+        some = moduli[k : k + together]
+        states = [_states(reduced, theta, loaded) for theta in some]
+        combined = reduced.basis.combination(np.hstack([part for x in states for part in (x.real, x.imag)]))
+        for t, (theta, parts) in enumerate(zip(some, np.split(combined, len(some), axis=1), strict=True), start=k):
+            real, imaginary = np.hsplit(parts, 2)
+            x = real + 1j * imaginary
+            left = model.functionals[:, loaded] - WeightedSum(operator.matrices, theta).product(x)
+            left /= np.linalg.norm(x[: operator.n_displacements], axis=0)
+            rest[:, t * width : (t + 1) * width] = np.hstack([left.real, left.imag])
+    return rest
+
+
+def _states(reduced: AffineReduced, theta: ComplexArray, loaded: Sequence[int]) -> ComplexArray:
+    """Reduced solutions (r, n_force) where the terms have the coefficients ``theta``."""
+    forces = reduced.functionals[:, loaded].astype(complex)
+    return np.asarray(np.linalg.solve(np.tensordot(theta, reduced.matrices, 1), forces))
+
+
+def _other_moduli(operator: AffineOperator, frequency: FloatArray) -> Iterator[ComplexArray]:
+    """Coefficients (n_term,) with one term after the other changed, at each place of the band."""
     for place in _PLACES:
         omega = 2 * np.pi * frequency[int(place * (len(frequency) - 1))]
         own = np.array([complex(t.coefficient.at(np.array(omega))) for t in operator.terms])
@@ -47,19 +78,7 @@ def _residuals(model: ForearmModel, reduced: AffineReduced, frequency: FloatArra
             for kept, lost in _factors(term.name) if own[k] else ():
                 theta = own.copy()
                 theta[k] = kept * own[k].real + 1j * lost * own[k].imag
-                states = np.linalg.solve(
-                    np.tensordot(theta, reduced.matrices, 1), reduced.functionals[:, loaded].astype(complex)
-                )
-                x = _combined(reduced, states)
-                rest = model.functionals[:, loaded] - WeightedSum(operator.matrices, theta).product(x)
-                rest = rest / np.linalg.norm(x[: operator.n_displacements], axis=0)
-                yield np.hstack([rest.real, rest.imag])
-
-
-def _combined(reduced: AffineReduced, states: ComplexArray) -> ComplexArray:
-    """Solutions (n, k) of reduced ``states`` (r, k)."""
-    real, imaginary = np.hsplit(reduced.basis.combination(np.hstack([states.real, states.imag])), 2)
-    return np.asarray(real + 1j * imaginary)
+                yield theta
 
 
 def _factors(name: str) -> tuple[tuple[float, float], ...]:

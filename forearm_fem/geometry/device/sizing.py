@@ -90,12 +90,14 @@ def half_planes(places: FloatArray, radii: FloatArray) -> FloatArray:
 DEFAULT_SHEAR_SPEED = 2.2  # [m/s] slowest default tissue (fat, low end) at 500 Hz, physics_data.md 6
 _CONTACT, _FAR = 0.8, 6.0  # relative to the size between contacts and grid
 _FARTHEST = 20e-3  # [m] in slabs: larger elements left 4 % at 100 Hz, and slivers in the columns under a contact
+# Rigid cones, third order: G errs less than was asked of these sizes, and is stated within it.
+_EASED = 1.85
 _AT = 0.05  # accuracy; below, they and rims shrink with its fourth root: points 20 mm away felt the far elements first
 _FACET, _WIDEST_FACET = 0.4, 2 * np.pi / 9  # [rad] at accuracy 0.05, and at most
 WIDEST = 0.6  # elements under a contact are at most this many radii
 _INTO_CORE = 2.2  # the core lies under the layers, where fields are smooth: sizes grow faster there
 # Slabs under rigid cones, third order: at sizes of .43 radii whatever the accuracy, receptance kept an error of 1.5 %.
-_CRUDE_AT = 0.3  # accuracy at which elements under a cone are as wide; below, they shrink with its fourth root
+_CRUDE_AT = 0.14  # accuracy at which elements under a cone are as wide; below, they shrink with its fourth root
 _RIM_OF_WIDEST = 0.8  # rims shorter than what stands there: bisection halves them
 _WAVE = 0.25  # elements that lead waves away from a rim need not be finer than this much of the size to the grid
 _THROUGH = 0.8  # a sublayer is at most about this much of the size between contacts and grid
@@ -145,26 +147,29 @@ def element_sizes(scenario: Scenario, *, scale: float = 1.0) -> Sizes:
     difference does not show.
 
     Outputs of P2 elements converge like h^4, hence h = 0.885 lambda_min accuracy^(1/4), and twice that with third order
-    around the ports; lambda_min is that of waves at :data:`DEFAULT_SHEAR_SPEED`, whatever the tissues.
+    around the ports; lambda_min is that of waves at :data:`DEFAULT_SHEAR_SPEED`, whatever the tissues. The ``accuracy``
+    meant is :data:`_EASED` times the scenario's under rigid cones.
     """
     options, radius = scenario.mesh, scenario.device.cone.radius
     rule = GRADED if scenario.element == "P2/P3" else SECOND
+    eased = rule is GRADED and scenario.device.cone.contact in RIGID
+    accuracy = scenario.accuracy * (_EASED if eased else 1.0)
     f_max = scenario.sweep.span[1]
-    grid = float(np.clip(rule.per_wavelength * DEFAULT_SHEAR_SPEED / f_max * scenario.accuracy**0.25, 0.4e-3, 6e-3))
+    grid = float(np.clip(rule.per_wavelength * DEFAULT_SHEAR_SPEED / f_max * accuracy**0.25, 0.4e-3, 6e-3))
     grid = scale * (options.size_grid or grid)
     contact = min(_CONTACT * grid, scale * rule.widest * radius)
     contact = scale * options.size_contact if options.size_contact else contact
-    finest = min(1.0, (scenario.accuracy / _AT) ** 0.25)
+    finest = min(1.0, (accuracy / _AT) ** 0.25)
     coarsest = _FARTHEST * finest
     farthest = scale * coarsest if isinstance(scenario.limb, SlabLimb) else np.inf
     far = scale * options.size_far if options.size_far else min(_FAR * grid, farthest)
     rim = min(rule.rim * grid, contact, scale * finest * rule.widest_rim * radius)
     if rule is GRADED and _cone_on_slab(scenario):
-        asked = scale * rule.widest * radius * min(1.0, (scenario.accuracy / _CRUDE_AT) ** 0.25)
+        asked = scale * rule.widest * radius * min(1.0, (accuracy / _CRUDE_AT) ** 0.25)
         contact = contact if options.size_contact else min(contact, max(asked, _WAVE * grid))
         rim = min(rim, contact, _RIM_OF_WIDEST * asked)
     counts = _counts(scenario, grid, scale)
-    facet = min(_FACET * (scenario.accuracy / 0.05) ** 0.25, _WIDEST_FACET)
+    facet = min(_FACET * (accuracy / _AT) ** 0.25, _WIDEST_FACET)
     wall = min(rule.wall * facet, _WIDEST_FACET)
     return Sizes(contact, grid, max(far, grid), rim, scale * facet, scale * wall, rule.rim_lead, counts)
 

@@ -54,7 +54,7 @@ def divided(symbolic: Symbolic, threads: int) -> Parts:
     remainder, owner = np.zeros(len(symbolic.parent), np.int64), np.empty(fronts.first[-1], np.int32)
     found, begin = list[ThreadPart](), 0
     for number, supernodes in enumerate([*chosen, top]):
-        end = int(_stacked(supernodes, fronts, remainder, begin))
+        end = int(stacked(supernodes, fronts, remainder, begin))
         found.append(ThreadPart(number, supernodes, begin, end))
         owner[_columns(supernodes, fronts.first)] = number
         begin = end
@@ -117,7 +117,7 @@ def _columns(supernodes: IntArray, first: IntArray) -> IntArray:
 
 
 @kernel
-def _stacked(supernodes: IntArray, fronts: Fronts, remainder: IntArray, begin: int) -> int:
+def stacked(supernodes: IntArray, fronts: Fronts, remainder: IntArray, begin: int) -> int:
     """End of the stack where these fronts are eliminated in turn; notes where each leaves its remainder.
 
     A front's remainder is made above those of its children and then takes their place.

@@ -53,9 +53,9 @@ def subtract_panel_transposed(
             source, target = below + row * r + v, own + v
             for k in range(0, columns - _GATHERED + 1, _GATHERED):
                 if _GATHERED == 8:
-                    _gather_eight(count, part + leading * k, leading, source, target + row * k, row)
+                    gather_eight(count, part + leading * k, leading, source, target + row * k, row)
                 else:
-                    _gather_two(count, part + leading * k, leading, source, target + row * k, row)
+                    gather_two(count, part + leading * k, leading, source, target + row * k, row)
             for k in range(columns // _GATHERED * _GATHERED, columns):
                 _gather_one(count, part + leading * k, source, target + row * k, row)
 
@@ -102,7 +102,8 @@ def _subtract_one(rows: int, panel: int, own: int, below: int, row: int) -> None
 
 
 @kernel
-def _gather_eight(rows: int, panel: int, leading: int, below: int, own: int, row: int) -> None:
+def gather_eight(rows: int, panel: int, leading: int, below: int, own: int, row: int) -> None:
+    """Eight columns of a transposed panel and eight right-hand sides."""
     none = lanes.no_floats()
     a, b, c, d, e, f, g, h = none, none, none, none, none, none, none, none
     s, t, u, v, w, x, y, z = none, none, none, none, none, none, none, none
@@ -136,7 +137,8 @@ def _gather_eight(rows: int, panel: int, leading: int, below: int, own: int, row
 
 
 @kernel
-def _gather_two(rows: int, panel: int, leading: int, below: int, own: int, row: int) -> None:
+def gather_two(rows: int, panel: int, leading: int, below: int, own: int, row: int) -> None:
+    """Two columns: short registers hold no more sums."""
     none, other = lanes.no_floats(), panel + leading
     a, b, s, t = none, none, none, none
     for _ in range(rows):

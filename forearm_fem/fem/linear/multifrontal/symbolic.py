@@ -223,10 +223,10 @@ def symbolic_factor(upper: csr_array, order: IntArray) -> Symbolic:
     entries = lower_entries(indptr, indices, np.argsort(order))
     count = column_counts(entries, parent)
     chains, above = _fundamental(parent, count)
-    kept, size = _merged(np.diff(chains), count[chains[:-1]], above, np.array(_COLUMNS), np.array(_ZEROS))
+    kept, size = merged(np.diff(chains), count[chains[:-1]], above, np.array(_COLUMNS), np.array(_ZEROS))
     first = chains[np.append(kept, True)]
     below = np.concatenate([[0], np.cumsum(size[kept] - np.diff(first))])
-    rows, above = _rows(first, below, entries)
+    rows, above = rows_below(first, below, entries)
     rows = rows[np.lexsort((rows, np.repeat(np.arange(len(above)), np.diff(below))))]
     return Symbolic(order, entries, Fronts(first, below, rows, *children(above)), above)
 
@@ -252,7 +252,7 @@ def _worth_merging(columns: int, new: float, zeros: float, size: float, limits: 
 
 
 @kernel
-def _merged(
+def merged(
     columns: IntArray, size: IntArray, above: IntArray, limits: IntArray, shares: FloatArray
 ) -> tuple[BoolArray, IntArray]:
     """True where a chain starts a supernode (n_chain,), and the size of its front (n_chain,).
@@ -279,7 +279,7 @@ def _merged(
 
 
 @kernel
-def _rows(first: IntArray, below: IntArray, entries: Entries) -> tuple[NDArray[np.int32], IntArray]:
+def rows_below(first: IntArray, below: IntArray, entries: Entries) -> tuple[NDArray[np.int32], IntArray]:
     """Rows below each supernode, in any order, and the supernode (n_supernode,) that the least of them belongs to."""
     n = len(first) - 1
     owner = np.empty(first[n], np.int64)
