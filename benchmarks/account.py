@@ -23,7 +23,7 @@ from pathlib import Path
 
 import psutil
 
-from forearm_fem.user_cache import default_cache_dir
+from forearm_fem.store.folder import default_cache_dir
 
 RESULTS = Path(__file__).parent / "results"
 GIGABYTE = 1e9

@@ -34,8 +34,8 @@ from matplotlib.figure import Figure
 from bench.scene import BAND, exact
 from bench.tables import record_machine, write_csv
 from forearm_fem.results.files import read_compliance
+from forearm_fem.store.folder import default_cache_dir
 from forearm_fem.transfer import band_error
-from forearm_fem.user_cache import default_cache_dir
 
 HERE = Path(__file__).parent
 _PAUSE = 0.2  # s between two looks at the memory

@@ -23,9 +23,9 @@ import numpy as np
 
 from forearm_fem.accuracy.estimates import relative_error_at
 from forearm_fem.device import close_loop
+from forearm_fem.engines.fem import Solved, solve
 from forearm_fem.engines.layered import solve_layered
 from forearm_fem.engines.simulation import with_device
-from forearm_fem.engines.solved import Solved, solve
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.scenario import Scenario, parse_scenario

@@ -24,12 +24,12 @@ import numpy as np
 import psutil
 
 from bench.isolated import isolated, threads
-from forearm_fem.engines.fem import fem_model, reduction_tolerance
+from forearm_fem.engines.fem import fem_model
 from forearm_fem.errors import ForearmError
 from forearm_fem.fem.kernels.compiled import freed_memory_kept
 from forearm_fem.fem.linear.factor import make_factor, refined_solve
 from forearm_fem.fem.reduction.sweep import reduced_sweep
-from forearm_fem.geometry.cache import cached_mesh
+from forearm_fem.geometry.build import cached_mesh
 from forearm_fem.scenario import load_scenario
 from forearm_fem.scenario.sweep import frequencies
 
@@ -124,7 +124,7 @@ def sweep(asked: Asked) -> tuple[Sweep, np.ndarray]:
     options = scenario.solver.model_copy(update={"backend": asked.backend})
     start = time.perf_counter()
     with freed_memory_kept():
-        found = reduced_sweep(model, frequencies(scenario.sweep), options, tolerance=reduction_tolerance(scenario))
+        found = reduced_sweep(model, frequencies(scenario.sweep), options, tolerance=scenario.reduction_tolerance)
     seconds = time.perf_counter() - start
     return Sweep(
         asked.scenario.stem, found.solver, asked.threads, model.operator.n, seconds, found.factorisations,

@@ -32,7 +32,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from forearm_fem.user_cache import default_cache_dir
+from forearm_fem.store.folder import default_cache_dir
 
 SLAB = """accuracy = 0.3
 name = "slab"

@@ -22,7 +22,7 @@ from forearm_fem.measurement.chain import reported
 from forearm_fem.metrics.strength import thesis_table
 from forearm_fem.ports import Port
 from forearm_fem.questions.predict.arm import LayeredArm, without_bones
-from forearm_fem.questions.predict.draws import draw_inputs, expanded, load_priors, measured_of, scenario_of
+from forearm_fem.questions.predict.draws import draw_inputs, expanded, load_priors, measured_of, scenario_of, taped
 from forearm_fem.questions.predict.statistics import group_columns, group_means, joint_distance, log_score
 from forearm_fem.rendering.job import RenderJob
 from forearm_fem.scenario import Scenario, load_scenario
@@ -37,6 +37,12 @@ SWITCHES = {
     "vibrometer noise": ("vibrometer noise",), "motion of the arm": ("arm motion",),
     "gain and phase of each sweep": ("entry gain", "entry phase"),
     "aim and slip": ("laser aim", "device slip", "device slip, turn"), "laser from above": ("laser direction",),
+}  # fmt: skip
+# What the arm has -> row -> what its rig has
+ROWS = {
+    (): {"none": (), **SWITCHES}, ("tape",): {"tape": ()},
+    ("fascia",): {"fascia": (), "fascia and all of the rig": RIG},
+    ("fascia", "tape"): {"fascia, tape and all of the rig": RIG},
 }  # fmt: skip
 
 
@@ -61,10 +67,10 @@ def rows_of(scenario: Scenario, number: int) -> dict[str, FloatArray]:
     draw = draw_inputs(load_priors(), scenario, 0, number)
     draw = replace(draw, values={**draw.values, "laser direction": 1.0})
     out: dict[str, FloatArray] = {}
-    for fascia in (False, True):
-        arm = without_bones(scenario_of(draw, scenario, () if fascia else expanded(("fascia",), scenario)))
-        seen = {row: measured_of(draw, arm, set(RIG) - set(kept)) for row, kept in SWITCHES.items()}
-        seen = {"fascia": arm, "fascia and all of the rig": measured_of(draw, arm)} if fascia else {"none": arm, **seen}
+    for parts, rows in ROWS.items():
+        scene = taped(scenario, ()) if "tape" in parts else scenario
+        arm = without_bones(scenario_of(draw, scene, () if "fascia" in parts else expanded(("fascia",), scenario)))
+        seen = {row: measured_of(draw, arm, set(RIG) - set(kept)) for row, kept in rows.items()}
         own = flat_ports(arm)
         contacts = tuple(p for p in own if p.kind == "contact")
         places = {s.grid: tuple(p for p in flat_ports(without_bones(s)) if p.kind == "point") for s in seen.values()}

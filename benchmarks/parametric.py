@@ -22,13 +22,12 @@ from pathlib import Path
 import numpy as np
 
 from forearm_fem.device import close_loop
-from forearm_fem.engines.fem import fem_model, solve_fem
+from forearm_fem.engines.fem import fem_model, second_mesh, solve_fem
 from forearm_fem.engines.parametric import ParametricModel, parametric_model
-from forearm_fem.engines.second_mesh import second_mesh
 from forearm_fem.engines.simulation import render_transfer
 from forearm_fem.fem.reduction.parametric_greedy import Growth
 from forearm_fem.fem.reduction.sweep import direct_sweep
-from forearm_fem.geometry.cache import cached_mesh
+from forearm_fem.geometry.build import cached_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.questions.predict.draws import draw_inputs, expanded, load_priors, scenario_of
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from forearm_fem.engines.fem import fem_model, reduction_tolerance
+from forearm_fem.engines.fem import fem_model
 from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.kernels.compiled import freed_memory_kept
 from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.fem.reduction.sweep import reduced_sweep
-from forearm_fem.geometry.cache import cached_mesh
+from forearm_fem.geometry.build import cached_mesh
 from forearm_fem.scenario import Scenario, load_scenario
 from forearm_fem.scenario.sweep import frequencies
 from thesis import factorisation_seconds
@@ -45,7 +45,7 @@ def sweep_seconds(model: ForearmModel, scenario: Scenario) -> tuple[float, float
     """Wall time of the whole sweep, the error it states, and how often it factorised."""
     start = time.perf_counter()
     band = frequencies(scenario.sweep)
-    result = reduced_sweep(model, band, scenario.solver, tolerance=reduction_tolerance(scenario))
+    result = reduced_sweep(model, band, scenario.solver, tolerance=scenario.reduction_tolerance)
     return time.perf_counter() - start, result.reduction_error, result.factorisations
 
 

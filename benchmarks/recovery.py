@@ -20,7 +20,7 @@ import numpy as np
 from forearm_fem.device import close_loop
 from forearm_fem.engines.fem import fem_model
 from forearm_fem.fem.reduction.sweep import direct_sweep
-from forearm_fem.geometry.cache import cached_mesh
+from forearm_fem.geometry.build import cached_mesh
 from forearm_fem.questions.compare.fit import FitResult, fit
 from forearm_fem.questions.compare.parameters import (
     Parameter,

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from forearm_fem.files.recipe import ImportRecipe, import_by_recipe
 from forearm_fem.metrics import condition_number
-from forearm_fem.questions.compare.crossplay import wavelet_for
+from forearm_fem.questions.compare.compare import wavelet_for
 from forearm_fem.rendering import (
     Combination,
     Funneling,

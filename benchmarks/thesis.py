@@ -22,7 +22,7 @@ import numpy as np
 from forearm_fem.engines.fem import fem_model
 from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.linear.direct import DirectSolver, make_solver
-from forearm_fem.geometry.cache import cached_mesh
+from forearm_fem.geometry.build import cached_mesh
 from forearm_fem.results.files import read_compliance
 from forearm_fem.scenario import Scenario, load_scenario
 from forearm_fem.scenario.sweep import ReducedSolve

@@ -73,6 +73,7 @@ sphinx_gallery_conf = {
 }
 suppress_warnings = ["config.cache"]
 
+highlight_language = "text"  # blocks without a language are command lines
 html_theme = "furo"
 html_title = f"forearm_fem {release}"
 html_static_path = ["_static"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 _EARLY = 0.1  # share of a stage before which its own pace tells nothing
+_OVERDUE = 0.1  # of the time since a stage last told of itself is left at least: what is late does not end at once
 
 Progress = Callable[[str, int, int], None]
 """``progress(stage, done, total)``: the ``stage`` under way in words, and how many of its ``total`` parts are done.
@@ -62,7 +63,8 @@ class Journey:
         before, promised = sum(self.spent[s] for s in known), sum(self.learnt[s] for s in known)
         pace = min(max(before / promised, 0.5), 2.0) if promised > 1 else 1.0  # of this run beside the last one
         after = sum(self.learnt[s] for k, s in enumerate(order) if k > reached and s != self.stage)
-        return pace * after + self._left_here(here, pace)
+        silent = _OVERDUE * (now - self._since) if self.stage else 0.0
+        return pace * after + max(self._left_here(here, pace), silent)
 
     def _left_here(self, here: float, pace: float) -> float:
         """Seconds left of the stage under way, after ``here`` seconds of it."""

@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike
 
 from .errors import ScenarioError
 from .laws import Law, law
-from .scenario.limb import tissue_keys
-from .scenario.tissues import TissueOverride
+from .scenario.limb import TissueOverride, tissue_keys
 from .typing import ComplexArray, FloatArray
 
 if TYPE_CHECKING:

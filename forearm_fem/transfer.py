@@ -5,7 +5,7 @@ Arrays are ordered (frequency, output, input); time dependence e^{+i omega t}.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -151,6 +151,13 @@ class Compliance:
     def block(self, outputs: str, inputs: str) -> ComplexArray:
         """Sub-matrix between two kinds of ports (n_frequency, n_out, n_in) [m/N]."""
         return self.values[:, self.indices(outputs)][:, :, self.indices(inputs)]
+
+
+def masked(values: ComplexArray, ports: Sequence[Port]) -> ComplexArray:
+    """Compliance with the self terms of points (infinite for a point force) set to NaN."""
+    result, points = np.array(values, dtype=complex), [i for i, p in enumerate(ports) if p.kind == "point"]
+    result[:, points, points] = np.nan
+    return result
 
 
 @dataclass(frozen=True, repr=False)

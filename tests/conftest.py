@@ -19,7 +19,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from scenes import once
 
-from forearm_fem.user_cache import default_cache_dir
+from forearm_fem.store.folder import default_cache_dir
 
 settings.register_profile("suite", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("suite")  # no test fails by the time that a busy machine takes

@@ -21,7 +21,7 @@ from forearm_fem import files
 from forearm_fem.engines.skin_model import SkinModel
 from forearm_fem.errors import ForearmError
 from forearm_fem.fem.reduction.affine import AffineReduced
-from forearm_fem.files.reading import RecognitionWarning
+from forearm_fem.files.declaration import RecognitionWarning
 from forearm_fem.geometry.limb.filling import oriented
 from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh

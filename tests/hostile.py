@@ -34,9 +34,8 @@ from forearm_fem.errors import LONGEST_SENTENCE, AccuracyWarning, ForearmError
 from forearm_fem.questions.run import Run, unknown_strengths
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.base import Within
-from forearm_fem.scenario.limb import Bone, LayerThickness
+from forearm_fem.scenario.limb import Bone, LayerThickness, TissueOverride
 from forearm_fem.scenario.sweep import frequencies
-from forearm_fem.scenario.tissues import TissueOverride
 
 PATIENCE = 60  # s: a busy machine's worst scene that is not hostile takes ten
 FEW = {"f_min": 100.0, "f_max": 140.0, "duration": 0.1, "sample_rate": 2000.0}

@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 
 from forearm_fem.accuracy.discretisation import estimated_errors, order_of, remaining_error
-from forearm_fem.engines.second_mesh import second_mesh
-from forearm_fem.geometry.cache import cached_mesh
+from forearm_fem.engines.fem import second_mesh
+from forearm_fem.geometry.build import cached_mesh
 from forearm_fem.layered import Disc, layered_compliance
 from forearm_fem.scenario import Scenario
 from forearm_fem.transfer import band_error

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from forearm_fem.device import RotatingMass
-from forearm_fem.engines.notes import actuator_notes, covered_notes, lifted_notes, scene_notes
+from forearm_fem.engines.forecast import actuator_notes, covered_notes, lifted_notes, scene_notes
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.ports import Port
 from forearm_fem.questions.run import Run

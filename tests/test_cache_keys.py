@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from forearm_fem.engines import solved
-from forearm_fem.engines.solved import solve_key
-from forearm_fem.geometry.build import build_mesh
-from forearm_fem.geometry.cache import mesh_key
+from forearm_fem.engines import fem
+from forearm_fem.engines.fem import solve_key
+from forearm_fem.geometry.build import build_mesh, mesh_key
 from forearm_fem.geometry.mesh.tissue_mesh import Bends
 from forearm_fem.scenario import apply_overrides, parse_scenario
 
@@ -62,7 +61,7 @@ def test_a_solve_is_not_reused_for_other_frequencies_meshes_or_versions(mesh, mo
         solve_key(scenario, moved, BAND),
         solve_key(scenario, replace(mesh, bends=bent), BAND),
     ]
-    monkeypatch.setattr(solved, "__version__", "0")
+    monkeypatch.setattr(fem, "__version__", "0")
     others.append(solve_key(scenario, mesh, BAND))
     assert len({key, *others}) == 5
 

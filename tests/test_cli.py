@@ -94,7 +94,7 @@ def test_doctor_says_where_the_cache_is_and_how_much_lies_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path / "kept"))
-    monkeypatch.setattr("forearm_fem.diagnosis.rendering_backend", lambda: "not tried")
+    monkeypatch.setattr("forearm_fem.cli.about.rendering_backend", lambda: "not tried")
     assert f"{tmp_path / 'kept'}: 0.0 MB in 0 files" in cli("doctor").out
     (tmp_path / "kept" / "solves").mkdir(parents=True)
     (tmp_path / "kept" / "solves" / "a.nc").write_bytes(bytes(2_500_000))

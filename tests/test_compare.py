@@ -19,8 +19,7 @@ from forearm_fem.metrics import condition_number
 from forearm_fem.metrics.common_ground import common_ground
 from forearm_fem.ports import Port, distances
 from forearm_fem.questions.compare.agreement import agreement, fdac_matrix, where, where_words
-from forearm_fem.questions.compare.compare import compare, comparison_record
-from forearm_fem.questions.compare.crossplay import cross_play, wavelet_for
+from forearm_fem.questions.compare.compare import compare, comparison_record, cross_play, wavelet_for
 from forearm_fem.questions.compare.report import (
     answer_lines,
     as_csv,

@@ -17,10 +17,10 @@ from forearm_fem.device import (
     propagate_errors,
     respond,
 )
-from forearm_fem.device.response import lever_matrix
+from forearm_fem.device.loop import lever_matrix
 from forearm_fem.errors import ScenarioError
 from forearm_fem.ports import Port
-from forearm_fem.scenario.changes import remade
+from forearm_fem.scenario.base import remade
 from forearm_fem.scenario.device import Cone, Device, HeldHousing, Housing, VoiceCoil
 from forearm_fem.transfer import Compliance, ErrorEstimate, relative_error
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from forearm_fem.device import close_loop
+from forearm_fem.engines.forecast import near_disc_notes
 from forearm_fem.engines.layered import solve_layered
-from forearm_fem.engines.notes import near_disc_notes
 from forearm_fem.engines.simulation import simulate
 from forearm_fem.questions.run import Run, run_solve
 from forearm_fem.results.run import read_run

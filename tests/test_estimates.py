@@ -13,21 +13,18 @@ from typer.testing import CliRunner
 
 from forearm_fem.accuracy.estimates import accuracy_verdict
 from forearm_fem.cli.app import app
-from forearm_fem.engines import second_mesh as module
-from forearm_fem.engines.second_mesh import second_mesh
+from forearm_fem.engines import fem as module
+from forearm_fem.engines.fem import Solved, second_mesh, solve_key
 from forearm_fem.engines.simulation import simulate, with_device
-from forearm_fem.engines.solved import Solved, solve_key
 from forearm_fem.errors import GeometryError, MeshError, SolverError
 from forearm_fem.fem.assembly.coefficients import term_coefficient
-from forearm_fem.geometry.build import build_mesh
-from forearm_fem.geometry.cache import cached_mesh, mesh_key
+from forearm_fem.geometry.build import build_mesh, cached_mesh, mesh_key
 from forearm_fem.geometry.device.sizing import element_sizes
 from forearm_fem.geometry.mesh.quality import mean_ratio
 from forearm_fem.questions.run import Run, run_all
 from forearm_fem.results.run import SolutionRecord
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.scenario.elements import FreeUnderside
-from forearm_fem.scenario.tissues import Membrane
+from forearm_fem.scenario.limb import FreeUnderside, Membrane
 from forearm_fem.transfer import Compliance, ErrorEstimate, relative_error, total_error
 from forearm_fem.verification.scenes import block_mesh, flesh
 
@@ -54,7 +51,7 @@ def refused(monkeypatch, ratios):
     """Second meshes of these ratios cannot be made."""
     original = module.cached_mesh
 
-    def made(scenario, *, base, scale):
+    def made(scenario, *, base, scale=1.0):
         if scale in ratios:
             raise MeshError("no such mesh; lower mesh.min_quality")
         return original(scenario, base=base, scale=scale)

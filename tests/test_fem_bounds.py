@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from forearm_fem.engines.notes import model_notes
+from forearm_fem.engines.forecast import model_notes
 from forearm_fem.errors import SolverError
 from forearm_fem.fem.assembly.coefficients import Polynomial
 from forearm_fem.fem.linear.direct import make_solver

@@ -17,8 +17,7 @@ from forearm_fem.geometry.device import sizing
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.laws import Hysteretic, SpringPot, Zener
 from forearm_fem.ports import Port
-from forearm_fem.scenario.elements import FixedUnderside, FoamUnderside, FreeUnderside
-from forearm_fem.scenario.tissues import Membrane
+from forearm_fem.scenario.limb import FixedUnderside, FoamUnderside, FreeUnderside, Membrane
 from forearm_fem.tissue import Tissue
 from forearm_fem.verification.closed import punch_stiffness, shear_bar_errors, sphere_errors
 from forearm_fem.verification.scenes import (

@@ -33,8 +33,7 @@ from test_measurement_scene import (
 from forearm_fem import files
 from forearm_fem.errors import ForearmError
 from forearm_fem.files import read_sweep
-from forearm_fem.files.declaration import Declaration
-from forearm_fem.files.reading import RecognitionWarning
+from forearm_fem.files.declaration import Declaration, RecognitionWarning
 from forearm_fem.files.tables import write_csv
 from forearm_fem.files.wav import read_wav_drives
 from forearm_fem.measurement.calibrate import calibrate, record

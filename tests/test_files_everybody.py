@@ -21,7 +21,6 @@ from scipy.io import savemat, wavfile
 from test_measurement_scene import INPUTS, OUTPUTS, device_for, part, plan_for, wave_matrix
 
 from forearm_fem import files
-from forearm_fem.contents import text_of
 from forearm_fem.errors import AccuracyWarning, DataError, ForearmError, GeometryError, MeshError
 from forearm_fem.files import Declaration, RecognitionWarning
 from forearm_fem.geometry.device.layout import layout_of, planform_ports
@@ -34,6 +33,7 @@ from forearm_fem.measurement.calibrate import record
 from forearm_fem.processes import _guarded
 from forearm_fem.rendering.bridging import filled_in
 from forearm_fem.scenario import load_scenario, parse_scenario
+from forearm_fem.store.text import text_of
 
 PORTS = (OUTPUTS[:2], INPUTS[:2])
 SAID = Declaration(unit="m/V", sign="+iwt", spectrum="one-sided")
@@ -215,7 +215,7 @@ def test_one_file_per_actuator_and_nodes_by_a_map(tmp_path):
 
 
 # ---------------------------------------------------------------- arrays
-@pytest.mark.filterwarnings("ignore::forearm_fem.files.reading.RecognitionWarning")
+@pytest.mark.filterwarnings("ignore::forearm_fem.files.declaration.RecognitionWarning")
 def test_arrays_of_numpy_and_hdf5(tmp_path):
     axes = SAID.model_copy(update={"axes": ("frequency", "output", "input")})
     np.savez(tmp_path / "g.npz", G=G.values, frequency=G.frequency, pickled=np.array([{}], dtype=object))

@@ -75,7 +75,7 @@ def test_a_rotation_is_no_displacement(tmp_path: Path):
         files.read(turned, of_sweep(), ports=PORTS)
 
 
-@pytest.mark.filterwarnings("ignore::forearm_fem.files.reading.RecognitionWarning")
+@pytest.mark.filterwarnings("ignore::forearm_fem.files.declaration.RecognitionWarning")
 def test_arrays_in_structures_and_cells_of_matlab_are_read(tmp_path: Path):
     cube = np.moveaxis(G, 0, 2)
     cell = np.empty((1, 2), dtype=object)
@@ -87,7 +87,7 @@ def test_arrays_in_structures_and_cells_of_matlab_are_read(tmp_path: Path):
         assert back.provenance["variable"] == name
 
 
-@pytest.mark.filterwarnings("ignore::forearm_fem.files.reading.RecognitionWarning")
+@pytest.mark.filterwarnings("ignore::forearm_fem.files.declaration.RecognitionWarning")
 @pytest.mark.parametrize("kind", ["sparse", "flat"])
 def test_a_matlab_file_without_a_plain_cube_says_so(tmp_path: Path, kind: str):
     cube = np.moveaxis(G, 0, 2)
@@ -97,7 +97,7 @@ def test_a_matlab_file_without_a_plain_cube_says_so(tmp_path: Path, kind: str):
         files.read(tmp_path / "G.mat", SAID, ports=PORTS)
 
 
-@pytest.mark.filterwarnings("ignore::forearm_fem.files.reading.RecognitionWarning")
+@pytest.mark.filterwarnings("ignore::forearm_fem.files.declaration.RecognitionWarning")
 def test_kilohertz_are_asked_about(tmp_path: Path):
     savemat(tmp_path / "G.mat", {"G": np.moveaxis(G, 0, 2), "f": F / 1e3})
     with pytest.warns(AccuracyWarning, match="end at 0.245 Hz; if they are kilohertz"):

@@ -23,15 +23,14 @@ from test_measurement_scene import INPUTS, OUTPUTS, RATE, SWEEP, device_for, par
 from forearm_fem import files
 from forearm_fem.errors import DataError, ForearmError
 from forearm_fem.files import read_sweep
-from forearm_fem.files.declaration import Declaration
-from forearm_fem.files.reading import RecognitionWarning
+from forearm_fem.files.declaration import Declaration, RecognitionWarning
 from forearm_fem.files.recipe import ImportRecipe, import_by_recipe, load_recipe
 from forearm_fem.files.tables import TableReader
 from forearm_fem.files.wav import read_wav_drives
 from forearm_fem.measurement.calibrate import record
 from forearm_fem.rendering import from_samples_file, ricker
+from forearm_fem.scenario.measurement import parse_unit
 from forearm_fem.transfer import TransferMatrix
-from forearm_fem.units import parse_unit
 
 PORTS = (OUTPUTS, INPUTS)
 FOREIGN = Declaration(

@@ -14,8 +14,7 @@ from test_measurement_scene import INPUTS, OUTPUTS, wave_matrix
 
 from forearm_fem import files
 from forearm_fem.errors import AccuracyWarning, DataError
-from forearm_fem.files.declaration import Declaration
-from forearm_fem.files.reading import RecognitionWarning
+from forearm_fem.files.declaration import Declaration, RecognitionWarning
 
 PORTS = (OUTPUTS, INPUTS)
 SAID = Declaration(unit="m/V", sign="+iwt", spectrum="one-sided")

@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from forearm_fem.geometry import cache
-from forearm_fem.geometry.build import build_mesh
-from forearm_fem.geometry.cache import cached_mesh
+from forearm_fem.geometry import build
+from forearm_fem.geometry.build import build_mesh, cached_mesh
 from forearm_fem.geometry.limb import tube as bending
 from forearm_fem.geometry.limb.tube import bent, tube_of, with_bends
 from forearm_fem.geometry.mesh.tissue_mesh import (
@@ -89,7 +88,7 @@ def test_straight_edges_have_no_bend(limb):
 
 def test_meshes_from_files_bend_like_new_ones(limb, kept, monkeypatch):
     scenario, mesh = limb
-    monkeypatch.setattr(cache, "build_mesh", lambda *_, **__: pytest.fail("built, not read"))
+    monkeypatch.setattr(build, "build_mesh", lambda *_, **__: pytest.fail("built, not read"))
     found = cached_mesh(scenario, cache_dir=kept, shipped_dir=kept / "none")
     assert found is not mesh
     assert np.array_equal(found.bends.edges, mesh.bends.edges)

@@ -17,14 +17,13 @@ import pytest
 import trimesh
 
 from forearm_fem.errors import GeometryError, MeshError
-from forearm_fem.geometry.build import build_mesh
-from forearm_fem.geometry.cache import cached_mesh, mesh_key
+from forearm_fem.geometry.build import build_mesh, cached_mesh, mesh_key
 from forearm_fem.geometry.device.place import facet_area, place_ports
 from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
 from forearm_fem.geometry.mesh.quality import check_mesh, mesh_quality
 from forearm_fem.geometry.user import volume as tetwild
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.user_cache import default_cache_dir
+from forearm_fem.store.folder import default_cache_dir
 
 SLAB = {
     "limb": {"shape": "slab", "symmetry": ["x", "y"], "length": 0.08, "width": 0.06},
@@ -86,7 +85,7 @@ def test_unreadable_mesh_files_are_named(slab, tmp_path):
 def _cached(tmp_path, **changes):
     scenario = parse_scenario({**SLAB, **changes})
     built: list[str] = []
-    import forearm_fem.geometry.cache as module
+    import forearm_fem.geometry.build as module
 
     original = module.build_mesh
 

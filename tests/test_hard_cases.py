@@ -18,9 +18,8 @@ from forearm_fem.laws import Hysteretic, KelvinVoigt
 from forearm_fem.layered import Disc, Layer, layered_compliance
 from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.scenario.elements import FreeUnderside
+from forearm_fem.scenario.limb import FreeUnderside, Membrane
 from forearm_fem.scenario.sweep import DirectSolve, ReducedSolve
-from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.tissue import Tissue
 from forearm_fem.transfer import relative_error
 from forearm_fem.typing import ComplexArray, FloatArray

@@ -26,20 +26,21 @@ from forearm_fem.engines.library import (
 )
 from forearm_fem.engines.library.arm import _Asked, _Part, library_skin
 from forearm_fem.engines.library.between import Lattice, Prior, Shape, shape_of
-from forearm_fem.engines.library.limb import constrained_compliance, deviation_held, modal_compliance
-from forearm_fem.engines.library.loads import (
+from forearm_fem.engines.library.make import loaded_skin, meshed_scenario
+from forearm_fem.engines.library.side import constrained_compliance, deviation_held, modal_compliance
+from forearm_fem.engines.library.skin import (
+    FlatSkin,
     GaussianLoads,
     bell_functionals,
     between_flat_bells,
     flat_compliance,
+    flat_skin,
     pair_distances,
 )
-from forearm_fem.engines.library.make import loaded_skin, meshed_scenario
-from forearm_fem.engines.library.skin import FlatSkin, flat_skin
 from forearm_fem.engines.simulation import render_transfer, simulate
 from forearm_fem.errors import AccuracyWarning, DataError, ForearmError, GeometryError, ScenarioError
 from forearm_fem.fem.linear.direct import make_solver
-from forearm_fem.geometry.cache import cached_mesh
+from forearm_fem.geometry.build import cached_mesh
 from forearm_fem.geometry.device.place import parametric_skin
 from forearm_fem.layered import Layer, Surface, surface_kernel
 from forearm_fem.layered.discs import Disc
@@ -593,7 +594,7 @@ def test_a_design_is_searched_on_a_library_by_two_processes(asked_design, tmp_pa
 
 def test_a_dry_run_on_a_library_meshes_nothing_and_says_what_it_does_not_answer(asked_design, tmp_path, monkeypatch):
     file, arm = asked_design[0].parent / "slab.toml", asked_design[1]
-    monkeypatch.setattr("forearm_fem.geometry.cache.cached_mesh", lambda *_, **__: pytest.fail("meshed"))
+    monkeypatch.setattr("forearm_fem.geometry.build.cached_mesh", lambda *_, **__: pytest.fail("meshed"))
     said = cli("run", file, "--library", arm, "--dry-run")
     assert (said.code, said.out) == (0, "library: no mesh and no solve; 5 frequencies in seconds\n")
     off = cli("run", file, "--library", arm, "--dry-run", "--set", "device.contacts=[[-0.02, 0], [0, 0]]")

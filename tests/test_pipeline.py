@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from forearm_fem.engines.fem import FemSolution
-from forearm_fem.engines.solved import field_modes
+from forearm_fem.engines.fem import FemSolution, field_modes
 from forearm_fem.errors import SolverError
 from forearm_fem.fem.linear import direct
 from forearm_fem.fem.linear.factor import available_backends

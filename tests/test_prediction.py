@@ -32,7 +32,7 @@ from forearm_fem.questions.predict.draws import (
     scenario_of,
 )
 from forearm_fem.questions.predict.run import Prediction, Question, check_question, drivers_of, outcome_of, predict
-from forearm_fem.questions.predict.summary import shorter_waves, summary
+from forearm_fem.questions.predict.statistics import shorter_waves, summary
 from forearm_fem.rendering import displacements, drives, strengths
 from forearm_fem.results.draws import DRAWS_FILE, KEPT, READINGS, DrawsFile, Outcome
 from forearm_fem.scenario import parse_scenario

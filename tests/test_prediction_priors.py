@@ -27,6 +27,7 @@ from forearm_fem.questions.predict.draws import (
     measured_of,
     moved_points,
     scenario_of,
+    taped,
     wide_priors,
 )
 from forearm_fem.scenario import parse_scenario
@@ -186,6 +187,19 @@ def test_correlations_are_those_stated_and_those_fitted() -> None:
     assert np.median(column("skin.relaxation")) == pytest.approx(
         150 * 2.5 ** joint.mean[joint.names.index("skin.relaxation")], rel=0.1
     )
+
+
+def test_tape_is_drawn_where_the_scene_has_it() -> None:
+    """As an incompressible sheet of the drawn thickness h and modulus E: E h / 3 and E h^3 / 9."""
+    draw = draw_inputs(load_priors(), SCENE, 1, 2)
+    h, modulus = draw.values["tape thickness"], draw.values["tape modulus"]
+    assert not scenario_of(draw, SCENE).tissues.patch.is_on
+    assert taped(SCENE, ("tape",)) == SCENE
+    laid = taped(SCENE, ())
+    patch = scenario_of(draw, laid).tissues.patch
+    assert (patch.stiffness, patch.bending) == pytest.approx((modulus * h / 3, modulus * h**3 / 9))
+    assert scenario_of(draw, laid, expanded(("tape",), laid)).tissues.patch == laid.tissues.patch
+    assert taped(laid, ()) == laid
 
 
 def test_a_draw_becomes_a_scenario() -> None:

@@ -102,6 +102,14 @@ def test_a_silent_stage_is_told_within_two_seconds():
     assert lines == ["told"]
 
 
+def test_a_stage_that_is_late_is_not_about_to_end():
+    """It said "about 1 s left" for a minute."""
+    journey = Journey({"solve": 10.0, "write": 1.0}, 0.0)
+    journey.tell("solve", 0, 0, 0.0)
+    assert journey.left(5.0) == pytest.approx(6.0)
+    assert journey.left(70.0) >= 7.0
+
+
 def test_a_line_says_stage_count_and_time_left():
     journey = Journey({"drives": 36.0}, 0.0)
     journey.tell("drives", 3, 9, 12.0)

@@ -17,13 +17,11 @@ from hostile import leaves
 from pydantic.fields import FieldInfo
 from scenes import sampled
 
-from forearm_fem.engines import solved
-from forearm_fem.engines.forecast import forecast, refuse_if_signals_too_large
-from forearm_fem.engines.notes import scene_notes
+from forearm_fem.engines import fem
+from forearm_fem.engines.forecast import forecast, refuse_if_signals_too_large, scene_notes
 from forearm_fem.engines.simulation import render_transfer, simulate
 from forearm_fem.errors import AccuracyWarning, ForearmError, ScenarioError
-from forearm_fem.geometry.build import build_mesh
-from forearm_fem.geometry.cache import mesh_key
+from forearm_fem.geometry.build import build_mesh, mesh_key
 from forearm_fem.geometry.mesh.quality import mesh_quality
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.questions.run import accuracy_verdict
@@ -190,7 +188,7 @@ def fem_answer(data: Mapping[str, Any], mesh: TissueMesh) -> tuple[object, ...]:
     try:
         scenario = parse_scenario(data)
         band = frequencies(scenario.sweep)
-        made = mesh_key(scenario), solved.solve_key(scenario, mesh, band), scenario.solver.discretisation_estimate
+        made = mesh_key(scenario), fem.solve_key(scenario, mesh, band), scenario.solver.discretisation_estimate
         refused = forecast(scenario, mesh=mesh).memory_bytes > scenario.solver.memory_limit
     except ForearmError as problem:
         return (str(problem),)

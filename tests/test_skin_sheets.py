@@ -16,8 +16,7 @@ from forearm_fem.fem.space.numbering import _node_place
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.layered import integrals, kernel
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.scenario.elements import FreeUnderside
-from forearm_fem.scenario.tissues import Membrane, Patch
+from forearm_fem.scenario.limb import FreeUnderside, Membrane, Patch
 from forearm_fem.verification.scenes import (
     DIRECT,
     flesh,

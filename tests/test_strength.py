@@ -12,14 +12,14 @@ from scenes import sampled
 from test_rendering import BAND, actuators, grid, waves
 
 from forearm_fem.accuracy.discretisation import over_pairs
-from forearm_fem.engines.notes import check_samples, sample_notes
+from forearm_fem.engines.forecast import check_samples, sample_notes
 from forearm_fem.engines.simulation import render_transfer
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
 from forearm_fem.measurement.entry import noise_estimate
 from forearm_fem.metrics.common_ground import common_ground
 from forearm_fem.metrics.strength import strength_text, without_bound
 from forearm_fem.ports import Port
-from forearm_fem.questions.compare.crossplay import cross_play
+from forearm_fem.questions.compare.compare import cross_play
 from forearm_fem.questions.compare.run import run_compare
 from forearm_fem.questions.predict.run import Question, check_question
 from forearm_fem.questions.run import Run, run_all, run_render

@@ -16,7 +16,7 @@ from forearm_fem.fem.assembly.thickness import follows_thickness, motion_of
 from forearm_fem.fem.reduction.affine import coefficients_of
 from forearm_fem.fem.reduction.parametric_greedy import Growth
 from forearm_fem.fem.reduction.sweep import direct_sweep
-from forearm_fem.geometry.cache import cached_mesh
+from forearm_fem.geometry.build import cached_mesh
 from forearm_fem.geometry.device.place import grid_places
 from forearm_fem.geometry.limb.thickness import stretched, stretches
 from forearm_fem.geometry.limb.tube import tube_of

@@ -13,9 +13,9 @@ from test_workbench import asked, complex_of, needs_node
 from test_workbench_page import opened, strength
 
 from forearm_fem.device import close_loop
+from forearm_fem.engines.fem import Solved
 from forearm_fem.engines.layered import flat_ports
 from forearm_fem.engines.library import make_library, save_library
-from forearm_fem.engines.solved import Solved
 from forearm_fem.errors import GeometryError
 from forearm_fem.geometry.device.layout import layout_of
 from forearm_fem.ports import Port

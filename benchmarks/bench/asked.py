@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from time import process_time
 
 from forearm_fem.accuracy.discretisation import COARSER, estimated_errors, order_of
-from forearm_fem.engines.fem import reduction_tolerance
 from forearm_fem.engines.forecast import Ledger
 from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.reduction.sweep import reduced_sweep
@@ -50,7 +49,7 @@ def asked(accuracy: float) -> Asked:
     scenario, ledger, start = knob(accuracy), Ledger(), process_time()
     with ledger.stage("all"):
         model = slab_model(scenario)
-        values = _swept(model, reduction_tolerance(scenario))
+        values = _swept(model, scenario.reduction_tolerance)
     spent = process_time() - start
     coarse = _swept(slab_model(scenario, scale=COARSER), None)
     more = process_time() - start - spent

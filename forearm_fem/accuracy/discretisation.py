@@ -9,7 +9,7 @@ import numpy as np
 
 from ..geometry.device.layout import RIGID
 from ..scenario import Scenario
-from ..scenario.limb import MeshLimb
+from ..scenario.limb import MeshLimb, SlabLimb
 from ..transfer import ErrorEstimate, TransferMatrix, band_error, relative_error
 from ..typing import ComplexArray, FloatArray
 from .estimates import raised_to_row_column_mean
@@ -18,8 +18,9 @@ from .estimates import raised_to_row_column_mean
 # does: between 2 and 57 times the error was its change under rigid cones, that of this one 2 to 6 times.
 COARSER = math.sqrt(2)
 # Orders of convergence by the elements around the ports; third order loses some of it at points beside rims, where
-# fields are singular: nearer than BESIDE [m] to a rigid one, or as Scenario.beside_discs has it.
-SECOND_ORDER, THIRD_ORDER, THIRD_BESIDE_RIMS = 2.1, 3.6, 2.9
+# fields are singular (nearer than BESIDE [m] to a rigid one, or as Scenario.beside_discs has it), and on limbs other
+# than slabs, whose layers are one element thick on both meshes.
+SECOND_ORDER, THIRD_ORDER, THIRD_ROUGH = 2.1, 3.6, 2.9
 BESIDE = 5e-3
 _NEIGHBOURHOOD = 1.25  # e(f) listens to frequencies up to this ratio away (a third of an octave)
 
@@ -38,11 +39,13 @@ def order_of(scenario: Scenario) -> float:
     place of its sizes."""
     if scenario.element not in ("P2/P3", "P3") or isinstance(scenario.limb, MeshLimb):
         return SECOND_ORDER
+    if not isinstance(scenario.limb, SlabLimb):
+        return THIRD_ROUGH
     device, reach = scenario.device, scenario.device.cone.radius + BESIDE
     rigid = device.cone.contact in RIGID
     gaps = (math.dist(place, centre) for place in scenario.grid.places for centre in device.centres)
     beside = any(gap < reach for gap in gaps) if rigid else bool(scenario.beside_discs)
-    return THIRD_BESIDE_RIMS if beside else THIRD_ORDER
+    return THIRD_ROUGH if beside else THIRD_ORDER
 
 
 def discretisation_of(fine: TransferMatrix, coarse: TransferMatrix, scenario: Scenario) -> ErrorEstimate:

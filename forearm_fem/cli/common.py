@@ -195,10 +195,14 @@ def run_of(
     return run
 
 
+def scenario_word(file: Path) -> str:
+    """A scenario as a command line names it: a shipped one by its name."""
+    return file.stem if file == scenario_file(file.stem) else str(file)
+
+
 def asked_words(file: Path, overrides: Sequence[str] | None = None, library: Path | None = None) -> str:
     """The scenario as a command line names it, with what was set: what another command needs to be of the same."""
-    name = file.stem if file == scenario_file(file.stem) else str(file)
-    words = [name, *(word for item in overrides or () for word in ("--set", item))]
+    words = [scenario_word(file), *(word for item in overrides or () for word in ("--set", item))]
     return shlex.join([*words, *(["--library", str(library)] if library is not None else [])])
 
 

@@ -14,8 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ..errors import ForearmError
 from ..progress import Journey
-from ..store.folder import write_text
-from ..user_cache import default_cache_dir
+from ..store.folder import default_cache_dir, write_text
 
 console = Console(stderr=True)
 _FILE, _MOST = "timings.json", 200  # jobs that are remembered

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -32,6 +33,7 @@ from .common import (
     print_notes,
     refuse_folder,
     run_of,
+    scenario_word,
     scene_of,
     stop_on_ctrl_c,
     there,
@@ -109,8 +111,13 @@ def calibrate(
     if daq == "virtual":
         virtual = _virtual(asked, scenario, through, declare, snr, bits, latency, seed, overrides)
     result = _calibrated(asked, folder, daq, virtual, card, cable, ask=daq != "virtual" and not yes)
-    for finding in result.measured.findings:
-        typer.echo(finding.sentence)
+    findings = result.measured.findings
+    for kind in dict.fromkeys(f.kind for f in findings):
+        alike = [f.sentence for f in findings if f.kind == kind]
+        shown = alike if len(alike) <= _MOST_ALIKE else alike[:1]
+        typer.echo("\n".join(shown))
+        if len(shown) < len(alike):
+            typer.echo(f"also {kind}: {', '.join(sentence.partition(':')[0] for sentence in alike[1:])}")
     if said := bias_said(result.measured):
         print_notes([said])
     valid = result.measured.transfer.valid
@@ -119,7 +126,8 @@ def calibrate(
     if daq != "virtual":
         typer.echo(f"latency of the device: {result.measured.transfer.provenance['latency_basis']}")
     typer.echo(f"G: {result.transfer_file}")
-    typer.echo(f"next: forearm-fem render {result.transfer_file} --scenario {scenario}")
+    again = ["forearm-fem", "render", str(result.transfer_file), "--scenario", scenario_word(scenario)]
+    typer.echo(f"next: {shlex.join(again)}")
 
 
 def _calibrated(
@@ -317,6 +325,7 @@ def fit(
 
 # convert: any readable G, or raw sweeps, to netCDF, CSV or MATLAB.
 
+_MOST_ALIKE = 3  # findings of one kind that are all printed
 _ENDINGS = (".nc", ".csv", ".mat")
 
 

@@ -52,7 +52,7 @@ def run(
         _until(asked, scenario, until, out, overrides)
         return
     if dry_run:
-        from ..engines.notes import scene_notes
+        from ..engines.forecast import scene_notes
         from ..questions.run import check_rendering
         from ..scenario.sweep import frequencies
 
@@ -154,7 +154,7 @@ def _expected(asked: Scenario, base: Path, display: Display | None = None) -> Fo
     if asked.engine != "fem":
         return None
     from ..engines.forecast import forecast
-    from ..geometry.cache import cached_mesh
+    from ..geometry.build import cached_mesh
     from ..tissue import resolve_tissues
 
     resolve_tissues(asked)  # what they lack is said before anything is meshed

@@ -1,7 +1,17 @@
 """Voice coils, cones and their shared housing, closed around the skin's compliance."""
 
-from .loop import ContactState, close_loop, contact_state, propagate_errors
-from .response import DeviceResponse, PowerBalance, coil_current, driving_point_impedance, power, respond
+from .loop import (
+    ContactState,
+    DeviceResponse,
+    PowerBalance,
+    close_loop,
+    coil_current,
+    contact_state,
+    driving_point_impedance,
+    power,
+    propagate_errors,
+    respond,
+)
 from .rotating_mass import RotatingMass
 
 __all__ = [

@@ -11,13 +11,13 @@ import numpy as np
 from ..accuracy.discretisation import DiscretisationError, estimated_errors, order_of, spread_change
 from ..accuracy.estimates import PairErrors
 from ..errors import MeshError
-from ..geometry.cache import cached_mesh
+from ..geometry.build import cached_mesh
 from ..progress import Progress
 from ..scenario import Scenario
 from ..transfer import Compliance, ErrorEstimate, relative_error
 from ..typing import ComplexArray, FloatArray
+from .fem import second_mesh
 from .parametric import ParametricModel, parametric_model
-from .second_mesh import second_mesh
 
 _PROBED = 20  # frequencies at which the second mesh is asked
 

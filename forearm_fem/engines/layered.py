@@ -20,14 +20,13 @@ from ..layered.tables import Tabulated, from_arrays, tabulate
 from ..ports import Port
 from ..progress import Progress
 from ..scenario import Scenario
-from ..scenario.limb import MeshLimb, SurfacesLimb
+from ..scenario.limb import MeshLimb, SurfacesLimb, Tissues
 from ..scenario.sweep import frequencies
-from ..scenario.tissues import Tissues
+from ..store.folder import default_cache_dir
 from ..store.shelf import Shelf
 from ..tissue import resolve_tissues
 from ..transfer import Compliance
 from ..typing import ComplexArray, FloatArray
-from ..user_cache import default_cache_dir
 
 __all__ = ["LayeredEngine", "solve_layered"]
 

@@ -19,7 +19,7 @@ from ..fem.reduction.affine import AffineReduced, coefficients_of
 from ..fem.reduction.parametric_greedy import Growth, Piece, TrialSolve, piece_at, united_model
 from ..fem.reduction.per_query_basis import FIRST, Summed, spanned
 from ..fem.reduction.rational import chebyshev_frequencies, rational
-from ..geometry.cache import cached_mesh
+from ..geometry.build import cached_mesh
 from ..geometry.device.place import GridPlaces, grid_places
 from ..geometry.limb.thickness import stretched, stretches
 from ..geometry.mesh.tissue_mesh import TissueMesh
@@ -29,16 +29,15 @@ from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
 from ..scenario.limb import tissue_keys
 from ..scenario.sweep import frequencies
+from ..store.folder import default_cache_dir
 from ..store.record import dims
 from ..store.shelf import Shelf
 from ..store.text import digest_of
 from ..tissue import resolve_tissues
-from ..transfer import Compliance, ErrorEstimate
+from ..transfer import Compliance, ErrorEstimate, masked
 from ..typing import BoolArray, ComplexArray, FloatArray
-from ..user_cache import default_cache_dir
-from .fem import fem_model, masked
+from .fem import fem_model, solve_key
 from .skin_model import BEYOND, unfollowed
-from .solved import solve_key
 
 _MODEL = "model"  # the key of the finished one
 _NODES = 33  # frequencies of a piece that a draw's rational function is made from; up to so many are solved as asked

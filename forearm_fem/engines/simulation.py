@@ -26,9 +26,9 @@ from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix, finite
 from ..typing import FloatArray
 from ..usercode import is_code, named
+from .fem import Solved
+from .forecast import model_notes, near_disc_notes
 from .layered import LayeredEngine, flat_notes
-from .notes import model_notes, near_disc_notes
-from .solved import Solved
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -91,7 +91,7 @@ def engine_of(
         from .layered import LayeredEngine
 
         return LayeredEngine(progress)
-    from .solved import FemEngine
+    from .fem import FemEngine
 
     return FemEngine(base, mesh, progress)
 

@@ -19,9 +19,8 @@ from ..scenario import Scenario
 from ..scenario.sweep import frequencies
 from ..store.record import dims, load
 from ..tissue import resolve_tissues
-from ..transfer import Compliance, ErrorEstimate, TransferMatrix
+from ..transfer import Compliance, ErrorEstimate, TransferMatrix, masked
 from ..typing import FloatArray
-from .fem import masked
 
 __all__ = ["SkinModel", "load_skin_model"]
 

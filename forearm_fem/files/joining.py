@@ -13,10 +13,8 @@ import numpy as np
 
 from ..errors import AccuracyWarning, DataError
 from ..transfer import TransferMatrix
-from .declaration import FOI, Declaration, Ports, RawMatrix, axes_by_length, declare
-from .naming import as_named
+from .declaration import FOI, Declaration, Ports, RawMatrix, RecognitionWarning, as_named, axes_by_length, declare
 from .reader import Reader, understand
-from .reading import RecognitionWarning
 from .sweeps import channels_of, read_sweep, waveforms
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from ..store.record import TIME_CONVENTION, labels, plain_json
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, IntArray
 from .arrays import check_elements
-from .reading import reading
+from .declaration import reading
 
 _NOTE = (
     "G(output, input, bin): bin k has frequency_Hz(k). Bins above sample_rate_Hz/2 are the negative "

@@ -18,14 +18,12 @@ from ..scenario import Scenario
 from ..store.record import said_content
 from ..transfer import TransferMatrix
 from ..usercode import named
-from .arrays import Hdf5Reader, MatReader, NpyReader, NpzReader
-from .declaration import SWEEPS, Declaration, Ports
+from .arrays import Hdf5Reader, MatReader, NpyReader, NpzReader, SofaReader
+from .declaration import SWEEPS, Declaration, Ports, refuse_stand_in
 from .joining import estimated, joined, named_files
 from .mat import read_thesis_mat, write_thesis_mat
 from .reader import Reader
-from .reading import refuse_stand_in
 from .recipe import RecipeReader
-from .sofa import SofaReader
 from .sweeps import SweepReader
 from .tables import TableReader, write_csv
 from .uff import UffReader

@@ -13,9 +13,9 @@ import numpy as np
 
 from ..errors import AccuracyWarning, DataError
 from ..ports import Port
+from ..scenario.measurement import parse_unit, to_displacement
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
-from ..units import parse_unit, to_displacement
 from .declaration import (
     EVERY,
     FOI,
@@ -24,13 +24,16 @@ from .declaration import (
     PortDeclaration,
     Ports,
     RawMatrix,
+    RecognitionWarning,
     Spectrum,
     axes_by_length,
     declare,
+    placed_by_name,
+    renamed,
+    strange_names,
+    unknown_names,
     unsaid,
 )
-from .naming import placed_by_name, renamed, strange_names, unknown_names
-from .reading import RecognitionWarning
 
 # From a file's content and what is declared of it to G in metres per drive, each entry at its port.
 

@@ -14,12 +14,11 @@ from scipy.fft import rfft, rfftfreq
 
 from ..errors import DataError, first_problem
 from ..scenario.base import Part, Positive
-from ..scenario.shipped import read_toml
+from ..scenario.load import read_toml
 from ..transfer import TransferMatrix
 from .arrays import Hdf5Reader, numbers_in
-from .declaration import FOI, Declaration, Ports, RawMatrix, declared_by
+from .declaration import FOI, Declaration, Ports, RawMatrix, declared_by, refuse_stand_in
 from .reader import Reader, understand
-from .reading import refuse_stand_in
 
 if TYPE_CHECKING:
     from ..scenario import Scenario

@@ -18,12 +18,11 @@ import numpy as np
 
 from ..errors import DataError, optional
 from ..measurement.recording import Recording
+from ..scenario.measurement import parse_unit
 from ..typing import FloatArray
-from ..units import parse_unit
 from .arrays import ArrayReader, Hdf5Reader, MatReader, NpzReader
-from .declaration import SWEEPS, Declaration, RawMatrix, declare
+from .declaration import SWEEPS, Declaration, RawMatrix, RecognitionWarning, declare, reading, refuse_stand_in, text_in
 from .reader import Reader
-from .reading import RecognitionWarning, reading, refuse_stand_in, text_in
 from .tables import read_table
 from .wav import wav_samples
 

@@ -17,12 +17,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..errors import DataError, optional
-from ..scenario.measurement import Quantity
+from ..scenario.measurement import Quantity, parse_unit
 from ..typing import BoolArray, ComplexArray, FloatArray
-from ..units import parse_unit
-from .declaration import FOI, Declaration, RawMatrix, declare
+from .declaration import FOI, Declaration, RawMatrix, RecognitionWarning, declare, reading
 from .reader import Reader
-from .reading import RecognitionWarning, reading
 
 _MARKS = re.compile(rb"    -1(?=[\r\n]|\Z| {74})")  # of datasets, as pyuff finds them
 _BLANKS = re.compile(rb"^( {4}-1) +(?=\r?$)", re.MULTILINE)

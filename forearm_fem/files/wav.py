@@ -13,7 +13,7 @@ from scipy.io import wavfile
 
 from ..errors import DataError
 from ..typing import FloatArray
-from .reading import reading
+from .declaration import reading
 
 _OPEN = 0xFFFFFFFF  # the length of what was written to a pipe
 

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
 from .discs import UPRIGHT, Disc, Galerkin, changed, decay_of, galerkin
 from .integrals import LOW_LOSS, Integrals, Medium
 from .kernel import Base, Layer, Surface, check_layers
-from .tape import DEGREES, FEWER, Sheet, Tape
+from .tape import FEWER, Sheet, Tape
 
 # Smooth functions of frequency from few of their values: Chebyshev polynomials in the root of the frequency.
 
@@ -109,7 +109,7 @@ def _interpolated(x: FloatArray, nodes: FloatArray, values: ComplexArray, errors
 _TERMS = (6, 24)  # of the axisymmetric tractions under a rigid disc, least and most
 _SCATTERED = 1e-5  # what the azimuthal orders above those taken may still scatter, by the distances of the discs
 _ORDERS = (2, 6)  # of them, least and most
-_JUDGED = 5  # frequencies where a sheet's polynomials are
+_JUDGED, _SLOWEST = 5, 0.7  # frequencies where a sheet's polynomials are; largest ratio of what they leave out
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,6 @@ def layered_compliance(
     base: Base = "halfspace",
     surface: Surface | None = None,
     sheet: Sheet | None = None,
-    degrees: int = DEGREES,
     tolerance: float = 1e-6,
     terms: int | None = None,
     orders: int | None = None,
@@ -167,8 +166,7 @@ def layered_compliance(
     Parameters
     ----------
     layers : from the surface down, see :class:`Layer`; ``base`` says what carries the last.
-    surface, sheet : on all of it, and on a rectangle (:mod:`forearm_fem.layered.tape`), by ``degrees`` polynomials
-        along each side.
+    surface, sheet : on all of it, and on a rectangle (:mod:`forearm_fem.layered.tape`).
     omega : (n_freq,) array, > 0 [rad/s], convention e^{+i omega t}.
     tolerance : error of the integrals relative to the largest |value| at each frequency.
     terms, orders : of the tractions under rigid discs; None: as waves, layers and distances ask for. What they
@@ -198,7 +196,7 @@ def layered_compliance(
     asked[np.ix_(rows, columns)] = True
     kinds = tuple(kind for each in system.kinds() if (kind := each & (asked | asked.T)).any()) or (asked | asked.T,)
     integrals = Integrals(medium, system.table, tolerance)
-    tape = None if sheet is None else Tape(sheet, medium, system, tuple(discs), degrees)
+    tape = None if sheet is None else Tape(sheet, medium, system, tuple(discs))
     evaluate = _Evaluation(integrals, system, discs, kinds, (rows, columns), judged, expected, progress, tape)
     sharp = bool(np.any(medium.loss(omega) < LOW_LOSS))  # poles near the axis: nothing smooth to follow
     found = (*evaluate(omega), np.zeros(omega.size)) if sharp else sampled(evaluate, omega, tolerance)
@@ -206,7 +204,7 @@ def layered_compliance(
     quadrature, truncation = errors.T
     missed = np.zeros(omega.size)
     if tape is not None:
-        missed = _missed(replace(evaluate, tape=replace(tape, count=tape.count - FEWER)), omega, values)
+        missed = _missed(evaluate, omega, values)
     if np.any(quadrature > tolerance):
         warnings.warn(f"layered: error {quadrature.max():.1e} > tolerance {tolerance:.1e}", AccuracyWarning, 2)
     if seen is not None and driven is not None:
@@ -262,18 +260,30 @@ class _Evaluation:
         return values, errors
 
 
-def _missed(fewer: _Evaluation, omega: FloatArray, values: ComplexArray) -> FloatArray:
-    """What ``fewer`` polynomials on a sheet change (n_freq,), relative to the largest entry among the driving discs, or
-    elsewhere, where that is more: at a few frequencies, between which the larger counts."""
+def _missed(evaluate: _Evaluation, omega: FloatArray, values: ComplexArray) -> FloatArray:
+    """What the polynomials of a sheet leave out (n_freq,), relative to the largest entry among the driving discs, or
+    elsewhere, where that is more.
+
+    The geometric series that leaving out the last two degrees along each side begins, and the two before those, at a
+    few frequencies; between these the larger counts.
+    """
+    tape = evaluate.tape
+    assert tape is not None
     rising = np.argsort(omega, kind="stable")
     some = np.unique(np.linspace(0, omega.size - 1, _JUDGED).round().astype(int))
-    less = replace(fewer, every=omega.size, expected=0, progress=None)(omega[rising[some]])[0]
-    driving = np.isin(fewer.asked[0], fewer.asked[1])
+    at = omega[rising[some]]
+    found = [values[rising[some]]]
+    for count in (tape.count - FEWER, tape.count - 2 * FEWER):
+        less = replace(evaluate, tape=replace(tape, count=count), every=omega.size, progress=None)
+        found.append(less(at)[0])
+    driving = np.isin(evaluate.asked[0], evaluate.asked[1])
     kinds = [np.repeat(kind[:, None], values.shape[2], axis=1) for kind in (driving, ~driving) if kind.any()]
-    change = changed(values[rising[some]], less, kinds)
+    last, before = (changed(more, less, kinds) for more, less in pairwise(found))
+    ratio = np.minimum(_SLOWEST, last / np.maximum(before, 1e-300))
+    missed = last * ratio / (1 - ratio)
     above = np.clip(np.searchsorted(some, np.arange(omega.size)), 0, some.size - 1)
     out = np.empty(omega.size)
-    out[rising] = np.maximum(change[above], change[np.maximum(above - 1, 0)])
+    out[rising] = np.maximum(missed[above], missed[np.maximum(above - 1, 0)])
     return out
 
 

@@ -27,13 +27,15 @@ from .kernel import surface_compliance
 # .. math:: A'=A-HYH^T,\quad Y=\kappa(1+C\kappa)^{-1}
 # takes the place of A in :mod:`.discs`: contacts and sheet scatter each other's waves, and without stiffness and mass A
 # is what it was. A point on the sheet moves as bare skin, less the polynomial whose work is that of what Y changes.
+# What polynomials cannot follow of bare skin's motion there, the sheet lets through as it does the shortest that they
+# can.
 # Integrals over directions depend on places alone and are kept; over k the kernel is interpolated on panels, as in
 # :mod:`.integrals`. Parity in x and in y parts C in four. Contacts may stand on the sheet.
 
-DEGREES = 16  # polynomials along each side
+DEGREES = 14  # polynomials along each side
 FEWER = 2  # polynomials less show what is left out
-_FIRST, _RATIO, _WIDEST, _END = 16.0, 0.25, 512.0, 2.0**13  # [1/m] first panel, others' width over k, widest, end
-_NODES = 8  # of a panel
+_FIRST, _RATIO, _WIDEST, _END = 8.0, 0.2, 512.0, 2.0**13  # [1/m] first panel, others' width over k, widest, end
+_NODES = 10  # of a panel
 _X, _W = legendre.leggauss(_NODES)
 Parity = tuple[int, int]
 _SECTORS: tuple[Parity, ...] = ((0, 0), (1, 0), (0, 1), (1, 1))  # of motion along z in x and in y
@@ -62,6 +64,7 @@ def _components(sector: Parity) -> tuple[Parity, Parity, Parity]:
     return (1 - sx, sy), (sx, 1 - sy), sector
 
 
+@lru_cache(maxsize=64)
 def _degrees(parity: Parity, count: int = DEGREES) -> tuple[IntArray, IntArray]:
     """Degrees p and q below ``count`` of one parity along x and y."""
     p, q = np.meshgrid(np.arange(parity[0], count, 2), np.arange(parity[1], count, 2), indexing="ij")
@@ -121,7 +124,7 @@ def _rays(panel: tuple[float, float], a: float, b: float, extent: float, orders:
     return _Rays(k, share, phi, 0.5 * np.pi / n / (4 * np.pi**2), shapes)
 
 
-@lru_cache(maxsize=1)  # some 200 MB
+@lru_cache(maxsize=1)  # some 150 MB
 def _under(a: float, b: float) -> Mapping[Key, FloatArray]:
     """Weights (nodes of all panels, f, f) of kernels k U for the skin's compliance between tractions; the last of them
     is that of its limit beyond, where integrands fall as (c log k + d)/k^2 but for oscillations: from two octaves."""
@@ -150,6 +153,19 @@ def _under(a: float, b: float) -> Mapping[Key, FloatArray]:
         c, d = np.tensordot(solved, np.array(octaves), axes=1)
         whole[key] = np.concatenate([*found, (c * _beyond(end, 1) + d * _beyond(end, 0))[None]])
     return MappingProxyType(whole)
+
+
+def _kept(parity: Parity, count: int) -> BoolArray:
+    """Which of all functions of one parity are of degrees below ``count``."""
+    p, q = _degrees(parity)
+    return np.asarray((p < count) & (q < count))
+
+
+@lru_cache(maxsize=3)
+def _fewer_under(a: float, b: float, count: int) -> Mapping[Key, FloatArray]:
+    """:func:`_under` of degrees below ``count``."""
+    found = {key: w[:, _kept(key[0], count)][:, :, _kept(key[1], count)] for key, w in _under(a, b).items()}
+    return MappingProxyType({key: np.ascontiguousarray(w) for key, w in found.items()})
 
 
 def _beyond(k: float, power: int) -> float:
@@ -261,6 +277,8 @@ class Tape:
         kernels = [np.concatenate([each, limit[:, None]], axis=1)
                    for each, limit in zip(kernels, self.medium.limits(omega), strict=True)]  # fmt: skip
         known: dict[tuple[int, Key], ComplexArray] = {}
+        cores, images, left = [], self._images, self._left(omega)
+        out[:, riding[:, None], others] *= left[:, :, None]
         for sector in _SECTORS:
             membrane, bending, mass, inverse = _stiffness(*self._halves, self.count, sector)
             in_plane = self.sheet.membrane + 1j * omega * self.sheet.viscosity
@@ -268,23 +286,24 @@ class Tape:
             kappa -= np.multiply.outer(omega**2 * self.sheet.mass, mass)
             c, h = self._skin(kernels, sector, known), rows[sector]
             held = np.linalg.solve(np.eye(c.shape[1]) + kappa @ c, kappa @ h.swapaxes(1, 2))  # Y H^T, Y symmetric
-            image, sign = self._images.number, self._images.sign(sector)
-            out[:, others[:, None], others] -= np.multiply.outer(sign, sign) * (h @ held)[:, image[:, None], image]
+            cores.append(h @ held)
             if riding.size:
-                seen = sign * ((self._moved(sector) @ inverse) @ (c @ held))[:, :, image]
-                out[:, riding[:, None], others] -= seen
-                out[:, others[:, None], riding] -= seen.swapaxes(1, 2)
+                to, free = self._moved(sector) @ inverse, h.swapaxes(1, 2)
+                moved = ((1 - left[:, :, None]) * to) @ free - to @ (c @ held)
+                out[:, riding[:, None], others] += moved[:, :, images.number] * images.sign(sector)
+        out[:, others[:, None], riding] = out[:, riding[:, None], others].swapaxes(1, 2)
+        out[:, others[:, None], others] -= images.spread(np.array(cores))
         return 0.5 * (out + out.swapaxes(1, 2))
 
     def _skin(
         self, kernels: Sequence[ComplexArray], sector: Parity, known: dict[tuple[int, Key], ComplexArray]
     ) -> ComplexArray:
         """C (n_freq, f, f) of a sector: half sum and half difference along and across waves meet in x and y."""
-        weights = _under(*self._halves)
+        weights = _fewer_under(*self._halves, self.count)
 
         def of(kernel: int, key: Key) -> ComplexArray:
             if (kernel, key) not in known:  # along x in one sector is along y in another
-                each = weights[key][:, self._kept(key[0])][:, :, self._kept(key[1])]
+                each = weights[key]
                 found = product(kernels[kernel], each.reshape(len(each), -1))
                 known[kernel, key] = found.reshape(-1, *each.shape[1:])
             return known[kernel, key]
@@ -299,10 +318,17 @@ class Tape:
             np.block([[xx, xy, turned(along)], [turned(xy), yy, turned(across)], [along, across, of(0, z)]])
         )
 
-    def _kept(self, parity: Parity) -> BoolArray:
-        """Which of all functions of one parity are of degrees below ``count``."""
-        p, q = _degrees(parity)
-        return np.asarray((p < self.count) & (q < self.count))
+    def _left(self, omega: FloatArray) -> ComplexArray:
+        """Share (n_freq, n_point) that the sheet leaves of what polynomials cannot follow of the points' motion: of a
+        wave as short as they can."""
+        k, sheet = self.count / max(self._halves), self.sheet
+        medium = self.medium
+        u = surface_compliance(np.array([[k]]), omega[:, None], medium.layers, medium.base, medium.surface)
+        inertia = omega**2 * sheet.mass
+        upright = 1 / (1 + u.zz[:, 0] * (sheet.bending * k**4 - inertia))
+        along = 1 / (1 + u.xx[:, 0] * ((sheet.membrane + 1j * omega * sheet.viscosity) * k**2 - inertia))
+        each = [upright if self.discs[i].component == "z" else along for i in self._riding]
+        return np.array(each, dtype=complex).reshape(-1, omega.size).T
 
     def _moved(self, sector: Parity) -> ComplexArray:
         """Motion (n_point, f) of the points on the sheet by its polynomials."""
@@ -327,12 +353,16 @@ class Tape:
         transform = dict(zip(radials, transforms(radials, _nodes()).T, strict=True))
         orders = max(abs(t.m) for t, _, _ in images.distinct) + 2
 
+        seen: dict[tuple[int, Radial], ComplexArray] = {}
+
         def each(kernel: int, m: int, traction: Traction, x: float, y: float, parity: Parity) -> ComplexArray:
             """Work on the tractions under the tape (n_freq, f), of order m in all."""
             key = kernel, traction.radial, x, y, m, parity
             if key not in known:
-                weights = _towards(*self._halves, x, y, orders)[m, parity][:, self._kept(parity)]
-                known[key] = (kernels[kernel] * transform[traction.radial]) @ weights
+                if key[:2] not in seen:
+                    seen[key[:2]] = kernels[kernel] * transform[traction.radial]
+                weights = _towards(*self._halves, x, y, orders)[m, parity]
+                known[key] = (seen[key[:2]] @ weights)[:, _kept(parity, self.count)]
             return known[key]
 
         place = {int(i): number for i, number in zip(self._others, images.number.tolist(), strict=True)}
@@ -398,6 +428,18 @@ class _Images:
             number.append(found.setdefault(key, len(found)))
             odd.append([sign, -1.0 if disc.x < 0 else 1.0, -1.0 if disc.y < 0 else 1.0])
         return cls(tuple(found), np.array(number), np.array(odd).T)
+
+    def spread(self, cores: ComplexArray) -> ComplexArray:
+        """Of the images' work in each sector (4, n_freq, images, images) that of all (n_freq, n, n): places that two
+        tractions have relative to each other tell how sectors add up."""
+        x, y = self.odd[1] < 0, self.odd[2] < 0
+        relative = (x[:, None] ^ x) + 2 * (y[:, None] ^ y)
+        signs = np.array([[(-1.0) ** (sx * (g % 2) + sy * (g // 2)) for sx, sy in _SECTORS] for g in range(4)])
+        count = len(self.distinct)
+        summed = np.moveaxis(np.tensordot(signs, cores, axes=1), 0, 1).reshape(cores.shape[1], -1)
+        at = (relative * count + self.number[:, None]) * count + self.number
+        found = np.take(summed, at.ravel(), axis=1).reshape(-1, *at.shape)
+        return np.asarray(found * np.multiply.outer(self.odd[0], self.odd[0]))
 
     def sign(self, sector: Parity) -> FloatArray:
         """Of each traction's work in a sector, relative to its image's (n,)."""

@@ -1,4 +1,4 @@
-r"""What a rig makes of G: vibrometer noise, slow motion of the arm, and gain and phase from one sweep to the next.
+r"""Errors of a rig in G: vibrometer noise, slow motion of the arm, and gain and phase from one sweep to the next.
 
 The one place that knows these (``[measurement.rig]``). A virtual device adds noise and motion as signals and sends them
 through the estimator (:class:`Disturbance`); a prediction adds what the estimator leaves of them to G

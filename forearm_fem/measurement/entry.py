@@ -11,12 +11,10 @@ from scipy.fft import rfftfreq
 
 from ..errors import DataError
 from ..ports import Port
-from ..scenario.measurement import MeasurementOptions
+from ..scenario.measurement import MeasurementOptions, to_displacement
 from ..transfer import ErrorEstimate, TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
-from ..units import to_displacement
-from .alike import off_alike
-from .diagnostics import Finding, diagnose
+from .diagnostics import Finding, diagnose, off_alike
 from .estimators import estimate, excited, spectra
 from .recording import Recording
 

@@ -14,10 +14,9 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from ..errors import DataError, HardwareError
 from ..rendering.signals import Record, on_record_bins
-from ..scenario.measurement import Quantity, RigOptions
+from ..scenario.measurement import Quantity, RigOptions, to_displacement
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
-from ..units import to_displacement
 from .chain import Disturbance, with_entry_errors
 from .daq import Wiring
 

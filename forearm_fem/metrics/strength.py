@@ -114,6 +114,13 @@ def without_bound(methods: Sequence[str], targets: Sequence[str], strengths: Flo
     )
 
 
+def numerics_words(low: float, high: float) -> str:
+    """E.g. ``1.30-1.32``, or that S does not move in its second decimal."""
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return "unknown"
+    return f"{low:.2f}-{high:.2f}" if f"{low:.2f}" != f"{high:.2f}" else "below ±0.01"
+
+
 def strength_text(value: float) -> str:
     """S in words: two decimals; two digits from a thousand on, where the others hardly move."""
     return f"{value:.2f}" if not value >= 1000 else f"{value:.2g}"
@@ -139,7 +146,7 @@ class StrengthTable:
         """The table in lines of text, mean or mean ± std, laid out as the thesis' Table I."""
         cells = [
             [
-                strength_text(m) if np.isnan(s) else f"{strength_text(m)} ± {strength_text(s)}"
+                strength_text(m) if np.isnan(s) or s < 0.005 else f"{strength_text(m)} ± {strength_text(s)}"
                 for m, s in zip(ms, ss, strict=True)
             ]
             for ms, ss in zip(self.mean, self.std, strict=True)

@@ -26,11 +26,9 @@ from ..laws import KelvinVoigt
 from ..progress import Progress, tell
 from ..results.run import read_run
 from ..scenario import Scenario, load_scenario, scenario_beside
-from ..scenario.base import Name, Part
-from ..scenario.changes import dotted
+from ..scenario.base import Name, Part, dotted
 from ..scenario.limb import tissue_keys
-from ..scenario.load import DOTTED
-from ..scenario.shipped import contents, named_files, read_toml
+from ..scenario.load import DOTTED, contents, named_files, read_toml
 from ..show.page import Block, Page, Section
 from ..store.folder import check_kind, locked, set_kind, write_text
 from ..store.shelf import WORK, Shelf
@@ -45,7 +43,7 @@ __all__ = ["Campaign", "CampaignResult", "Member", "MemberResult", "load_campaig
 
 @dataclass(frozen=True)
 class MemberJob:
-    """All that a worker needs: plain data, so that it travels to any machine that sees ``folder`` and ``base``."""
+    """A member for a worker: plain data, for any machine that sees ``folder`` and ``base``."""
 
     name: str
     scenario: str

@@ -14,15 +14,13 @@ import numpy as np
 from .. import __version__
 from ..accuracy.estimates import accuracy_verdict
 from ..device import contact_state
-from ..device.response import carries_points
-from ..engines.forecast import Ledger, refuse_if_signals_too_large
-from ..engines.notes import check_samples, scene_notes
+from ..device.loop import carries_points
+from ..engines.forecast import Ledger, check_samples, refuse_if_signals_too_large, scene_notes
 from ..engines.simulation import Engine, Simulation, simulate, versions
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..fem.reduction.compile_ahead import start_compiling
 from ..files.mat import write_thesis_mat
-from ..geometry.build import limb_volume
-from ..geometry.cache import cached_mesh
+from ..geometry.build import cached_mesh, limb_volume
 from ..geometry.device.place import check_places
 from ..geometry.mesh.files import write_mesh
 from ..geometry.mesh.quality import mesh_quality

@@ -22,8 +22,16 @@ from .drives import (
     drives,
 )
 from .funneling import Funneling, funneling_weights
-from .inverse_filter import AutoZeros, Combination, FixedZeros, InverseFilter, SearchedZeros, ThesisZeros
-from .inversion import Inversion, Regularisation
+from .inverse_filter import (
+    AutoZeros,
+    Combination,
+    FixedZeros,
+    InverseFilter,
+    Inversion,
+    Regularisation,
+    SearchedZeros,
+    ThesisZeros,
+)
 from .rendered import Rendered, Rendering, render_all, strengths, thesis_renderers
 from .signals import (
     BinnedTransfer,

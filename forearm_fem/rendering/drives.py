@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -15,8 +15,10 @@ from ..ports import Port, distances
 from ..scenario.device import Device, VoltageDevice
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
-from .inversion import Inversion
 from .signals import BinnedTransfer, Record, Wavelet, on_record_bins, respond, to_time
+
+if TYPE_CHECKING:
+    from .inverse_filter import Inversion
 
 
 @dataclass(frozen=True, eq=False)

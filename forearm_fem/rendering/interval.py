@@ -18,8 +18,8 @@ from ..transfer import ErrorEstimate, TransferMatrix, between, error_of_pairs, r
 from ..typing import BoolArray, FloatArray
 from .bridging import with_wider_ends
 from .drives import Renderer
-from .inverse_filter import FixedZeros, SearchedZeros, precomputed_for_targets
-from .rendered import Rendering, strengths
+from .inverse_filter import FixedZeros, SearchedZeros
+from .rendered import Rendering, precomputed_for_targets, strengths
 from .signals import Wavelet, Window, on_record_bins
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ def strength_of(
     errors = (*g.errors, *((holes.error,) if holes.error is not None else ()))
     random = _random_error(g)
     known = bool(g.errors) or random is not None
-    unknown = _why_unknown(errors, known, measured)
+    unknown = _unknown_reason(errors, known, measured)
     asked = rendering.targets, rendering.window
     smooth = errors if random is None else tuple(e for e in errors if e.source != "measurement")
     spread = np.full(value.shape, np.nan) if unknown else interval(g, smooth, *asked, kept, wavelet, random)
@@ -208,7 +208,7 @@ def _random_error(g: TransferMatrix) -> FloatArray | None:
     return None if lacking.mean() > _MOST_WITHOUT or not known.any() else np.where(known, g.deviation, 0.0)
 
 
-def _why_unknown(errors: tuple[ErrorEstimate, ...], known: bool, measured: bool) -> str:
+def _unknown_reason(errors: tuple[ErrorEstimate, ...], known: bool, measured: bool) -> str:
     if not known:
         kind = "a measured G states neither an error nor a deviation" if measured else "G carries no error estimate"
         return f"{kind}, so the interval of S is unknown"

@@ -26,8 +26,15 @@ from ..usercode import is_code, named
 from .bridging import bridged
 from .drives import Limits, Renderer, limits_of
 from .funneling import Funneling, funneling_weights, lattice_of
-from .inverse_filter import LEAST_ERROR, AutoZeros, Combination, InverseFilter, SearchedZeros, ThesisZeros
-from .inversion import Regularisation
+from .inverse_filter import (
+    LEAST_ERROR,
+    AutoZeros,
+    Combination,
+    InverseFilter,
+    Regularisation,
+    SearchedZeros,
+    ThesisZeros,
+)
 from .rendered import Rendering, played_strengths, render_all
 from .signals import Record, Wavelet, Window, from_samples_file, on_record_bins, place_on_bins, ricker, window_of
 

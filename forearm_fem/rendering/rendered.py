@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -31,8 +31,8 @@ from .drives import (
     drives,
 )
 from .funneling import Funneling, is_thesis_grid
-from .inverse_filter import Combination, InverseFilter, prepared
-from .signals import Wavelet, Window, on_record_bins, ricker, window_of
+from .inverse_filter import Combination, FixedZeros, InverseFilter, control_of
+from .signals import BinnedTransfer, Wavelet, Window, on_record_bins, ricker, window_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -281,3 +281,53 @@ def played_strengths(
                 for s, span in enumerate(spans):
                     out[s, p, m, t] = plain_strength(moved.values, row, time=moved.time, window=span)
     return out
+
+
+# Precomputation shared by several aims: by places for any G of theirs, by G for all its targets.
+
+@runtime_checkable
+class Settling(Renderer, Protocol):
+    """A renderer that can say beforehand what it takes from places."""
+
+    def precomputed_for_targets(self, placed: BinnedTransfer, targets: Sequence[str]) -> Self:
+        """The same renderer with all that follows from where ports are found for ``targets``."""
+
+
+def prepared(
+    placed: BinnedTransfer, methods: Iterable[Renderer], targets: Sequence[str]
+) -> tuple[BinnedTransfer, tuple[Renderer, ...]]:
+    """G and renderers with all that aims at ``targets`` share: :func:`precomputed_for_targets`, then
+    :func:`with_controls`."""
+    found = precomputed_for_targets(methods, placed, targets)
+    return with_controls(placed, found, targets), found
+
+
+def precomputed_for_targets(
+    methods: Iterable[Renderer], placed: BinnedTransfer, targets: Sequence[str]
+) -> tuple[Renderer, ...]:
+    """The same renderers with zero points and shares of funneling found for ``targets``, so that draws of G find them
+    there; for any G with the ports of ``placed`` whose inputs are known as there.
+
+    Zero points that are searched stay a search. Raises as :meth:`.Renderer.aim` for ports that a renderer cannot serve.
+    """
+    return tuple(m.precomputed_for_targets(placed, targets) if isinstance(m, Settling) else m for m in methods)
+
+
+def with_controls(placed: BinnedTransfer, methods: Iterable[Renderer], targets: Sequence[str]) -> BinnedTransfer:
+    """The same G with each set of control points by which precomputed_for_targets ``methods`` aim at ``targets``
+    decomposed once.
+
+    Corners of the thesis' grid have the control points of its middle, and where all other points are held still every
+    target has the same. Drives are the same to the last bit. Raises as :func:`.control_of`.
+    """
+    sets = dict.fromkeys(
+        frozenset((target, *zeros)) for m in methods for target in targets if (zeros := _zeros(m, target)) is not None
+    )
+    controls = (control_of(placed, names) for names in sets)
+    return replace(placed, controls={c.rows: c for c in controls})
+
+
+def _zeros(method: Renderer, target: str) -> tuple[str, ...] | None:
+    """Zero points that are known before the renderer aims."""
+    zeros = getattr(method, "zeros", None)
+    return zeros.by_target.get(target) if isinstance(zeros, FixedZeros) else zeros if isinstance(zeros, tuple) else None

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
 from scipy.fft import irfft, rfft
@@ -20,7 +20,6 @@ from ..ports import Port
 from ..transfer import TransferMatrix, relative_error_at
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
 from .bridging import filled_in
-from .inversion import Control
 
 # From a transfer matrix on its own frequencies to the bins of a periodic record, and back to time.
 # A record of n samples at f_s has bins k f_s / n. Spectra are one-sided and in unit/Hz: X_k = dt sum_j x_j
@@ -72,6 +71,9 @@ class Record:
         if self.n % 2 == 0:
             weights[-1] = 1
         return weights
+
+if TYPE_CHECKING:
+    from .inverse_filter import Control
 
 
 def to_spectrum(signals: FloatArray, record: Record) -> ComplexArray:

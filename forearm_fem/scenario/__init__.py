@@ -1,9 +1,17 @@
 """Scenario files: what the user asks for."""
 
 from .limb import BODIES, Tape
-from .load import apply_overrides, load_scenario, parse_scenario, scenario_schema, scenario_template
+from .load import (
+    apply_overrides,
+    load_scenario,
+    parse_scenario,
+    scenario_beside,
+    scenario_file,
+    scenario_schema,
+    scenario_template,
+    shipped_scenarios,
+)
 from .model import Scenario
-from .shipped import scenario_beside, scenario_file, shipped_scenarios
 
 __all__ = [
     "BODIES",

@@ -302,7 +302,7 @@ Device = Annotated[
 
 
 class _Read(Part):
-    """What is read at the points of a grid."""
+    """Direction of the motion read at the points of a grid."""
 
     direction: Literal["normal", "vertical"] = Field(
         "normal",

@@ -1,4 +1,4 @@
-"""The limb: parametric forearm, slab, cylinder, the user's surfaces or mesh; and a forearm from a tape measure."""
+"""The limb: its shape, also from a tape measure, its tissues, what holds it, and the sizes of its elements."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from ..errors import ScenarioError
-from .base import Coordinate, Length, Part, Within
+from ..laws import LAWS
+from .base import Coordinate, Length, Part, UserCode, Within, choice, idle, only_in
 
 
 class LayerThickness(Part):
@@ -247,3 +248,181 @@ BODIES: Mapping[str, Tape] = MappingProxyType(
         "large": _shah(27.9, 27.9, 26.6, 24.1, 20.3, length=0.267),
     }
 )
+
+
+# Tissue parameters of a scenario: a preset, and per tissue what differs from it.
+
+Modulus = Annotated[float, Within(0.1, 1e13, "Pa")]
+Viscosity = Annotated[float, Within(1e-9, 1e6, "Pa s", zero=True)]
+PerLength = Annotated[float, Within(1e-9, 1e9, "N/m", zero=True)]
+SheetViscosity = Annotated[float, Within(1e-12, 1e6, "N s/m", zero=True)]
+Bending = Annotated[float, Within(1e-12, 1e3, "N m", zero=True)]
+PerArea = Annotated[float, Within(1e-9, 1e4, "kg/m^2", zero=True)]
+if TYPE_CHECKING:
+    LawName = str
+else:
+    LawName = Literal[tuple(LAWS)]
+
+
+class TissueOverride(Part):
+    """Replaces single values of a preset's tissue, or defines a new tissue when complete."""
+
+    density: Annotated[float, Within(100, 10000, "kg/m^3")] | None = Field(None, description="kg/m^3")
+    mu: Modulus | None = Field(None, description="storage (shear) modulus [Pa]")
+    eta: Viscosity | None = Field(None, description="shear viscosity [Pa s]")
+    bulk: Modulus | Literal["incompressible"] | None = Field(None, description="bulk modulus [Pa]")
+    law: LawName | UserCode | None = Field(
+        None,
+        description="law of the shear modulus; kelvin-voigt where left out; your own as module:Name of a file beside "
+        "the scenario",
+    )
+    parameters: dict[str, float] = Field(default_factory=dict, description="of a law that are no keys here, in SI")
+    exponent: Annotated[float, Within(0.001, 0.999)] | None = Field(None, description="springpot exponent [-]")
+    mu_infinity: Modulus | None = Field(None, description="Zener high-frequency modulus [Pa]")
+
+
+class Membrane(Part):
+    """Thin stiff sheet on the skin (epidermis) as a surface term, not tetrahedra; pre-stress included."""
+
+    stiffness: PerLength = Field(0.0, description="in-plane shear stiffness mu*h [N/m]; 350 kPa x 80 um = 28 N/m")
+    viscosity: SheetViscosity = Field(0.0, description="in-plane eta*h [N s/m]")
+    tension: PerLength = Field(0.0, description="pre-stress resultant [N/m]; 28-92 N/m (physics_data.md 2.5)")
+    mass: PerArea = Field(0.0, description="mass per area [kg/m^2]; 80 um epidermis 0.088, tape 0.2-0.3")
+
+
+class Patch(Part):
+    """Adhesive tape on a rectangle of the skin about the origin: mass, in-plane and bending stiffness; off while all of
+    these are 0."""
+
+    length: Length = Field(0.040, description="along the limb, x [m]; the thesis' 4 x 4 cm of reflective tape")
+    width: Length = Field(0.040, description="across the limb, y, seen from above [m]")
+    mass: PerArea = Field(0.0, description="mass per area [kg/m^2]; tape 0.2-0.3")
+    stiffness: PerLength = Field(
+        0.0, description="in-plane shear stiffness mu*h = E h/3 [N/m]; E h of tape is of the order of 1e5 N/m"
+    )
+    viscosity: SheetViscosity = Field(0.0, description="in-plane eta*h [N s/m]")
+    bending: Bending = Field(0.0, description="bending stiffness E h^3/9 [N m]; 2e-5 to 2e-3 for tape")
+
+    @model_validator(mode="after")
+    def _something(self) -> Self:
+        sizes = {"length", "width"} & self.model_fields_set
+        if sizes and not {"mass", "stiffness", "viscosity", "bending"} & self.model_fields_set:
+            raise idle(sizes, "tissues.patch has neither mass nor stiffness; give it one, or leave the patch out")
+        return self
+
+    @property
+    def is_on(self) -> bool:
+        """True if there is anything on the skin."""
+        return bool(self.mass or self.stiffness or self.viscosity or self.bending)
+
+
+class Tissues(Part):
+    """Choice of tissue parameters."""
+
+    preset: Literal["default", "thesis", "zhang", "zener", "springpot"] = Field(
+        "default",
+        description="default = preset O, thesis = K (fitted to the thesis' appendix A), zhang = Z of physics_data.md "
+        "9; zener and springpot have bounded damping (physics_data.md 1.4)",
+    )
+    override: dict[str, TissueOverride] = Field(
+        default_factory=dict, description="tissue -> values that differ from the preset, or a whole new tissue"
+    )
+    membrane: Membrane = Membrane()
+    patch: Patch = Patch()
+
+
+# The finite elements of a scenario: sizes of the mesh, what holds the limb, and a library's patch of skin.
+
+Element = Literal["P1", "P2", "P2/P3", "P3"]
+Size = Annotated[float, Within(1e-4, 2.0, "m")]
+
+
+class MeshOptions(Part):
+    """Element sizes [m]; ``None`` means: chosen from the scenario's ``accuracy``."""
+
+    size_contact: Size | None = Field(None, description="edge length under and beside contacts [m]")
+    size_grid: Size | None = Field(None, description="edge length between contacts and grid points [m]")
+    size_far: Size | None = Field(None, description="edge length far from all ports [m]")
+    grading: Annotated[float, Within(0.01, 1.0)] = Field(0.3, description="growth of size per metre of distance")
+    sublayers: dict[str, Annotated[int, Within(1, 20)]] = Field(
+        default_factory=dict, description="element layers through each tissue layer, e.g. {skin = 1, fat = 2}"
+    )
+    element: Element | Literal["auto"] = Field(
+        "auto",
+        description="displacement order, pressure is one lower; P2/P3 is third order around the ports and second "
+        "elsewhere; auto: P2/P3 on forearm and cylinder, and on slabs without size_grid where accuracy is 0.05 or "
+        "better, cones are rigid, or a point is less than 8 mm from the rim of a disc of pressure",
+    )
+    min_quality: Annotated[float, Within(1e-6, 0.999)] = Field(
+        0.02, description="smallest mean-ratio quality accepted (1 = regular tetrahedron)"
+    )
+    max_elements: Annotated[float, Within(1, 1e10)] = Field(2e6, description="refuse larger meshes than this")
+
+
+class LibraryPatch(Part):
+    """A rectangle of volar skin about the origin, in lengths along the skin; discs must lie on it whole."""
+
+    length: Annotated[float, Within(0.01, 0.4, "m")] = Field(0.08, description="of the patch along the limb [m]")
+    width: Annotated[float, Within(0.01, 0.4, "m")] = Field(
+        0.064, description="of the patch across the limb [m]; discs stand on skin at most 60 degrees from facing up"
+    )
+    step: Annotated[float, Within(0.001, 0.02, "m")] = Field(
+        0.004, description="between the loads that are solved for [m]; what lies between them is interpolated"
+    )
+
+
+class Supports(Part):
+    """Bones, the underside, and the cut ends (a slab's sides and bottom are cut ends too)."""
+
+    bone: Literal["rigid", "elastic"] = Field("rigid", description="held still, or meshed as bone tissue")
+    underside: Literal["free", "fixed", "foam"] = Field(
+        "free",
+        description="skin that faces down, 60 degrees to either side of straight down: free, held still, or on foam",
+    )
+    ends: Literal["absorb", "fixed", "free"] = Field("absorb", description="viscous dashpots rho c_s, clamped or free")
+
+
+class FoamUnderside(Supports):
+    """A limb that lies on foam."""
+
+    underside: Literal["foam"] = Field("foam", description="skin that faces down lies on foam")
+    foam_stiffness: Annotated[float, Within(1e-6, 1e15, "N/m^3", zero=True)] = Field(
+        2.0e5,
+        description="foam spring per area [N/m^3], 1e4 to 1e7; beyond, take underside = 'fixed'",
+    )
+    foam_damping: Annotated[float, Within(1e-6, 1e12, "N s/m^3", zero=True)] = Field(
+        1.0e3, description="foam dashpot per area [N s/m^3]"
+    )
+
+
+_WITHOUT_FOAM = only_in(FoamUnderside, "supports.underside is not 'foam'; leave it out, or set underside = 'foam'")
+
+
+class FreeUnderside(Supports):
+    """A limb whose underside touches nothing."""
+
+    underside: Literal["free"] = Field(
+        "free",
+        description="skin that faces down, 60 degrees to either side of straight down: free, fixed (held still), or "
+        "foam",
+    )
+    idle_keys: ClassVar = _WITHOUT_FOAM
+
+
+class FixedUnderside(Supports):
+    """A limb whose underside is held still."""
+
+    underside: Literal["fixed"] = Field("fixed", description="skin that faces down is held still")
+    idle_keys: ClassVar = _WITHOUT_FOAM
+
+
+def _underside(data: Any) -> str:
+    return f"as {choice(data, 'supports.underside', ('free', 'fixed', 'foam'))} underside"
+
+
+AnySupports = Annotated[
+    Annotated[FreeUnderside, Tag("as free underside")]
+    | Annotated[FixedUnderside, Tag("as fixed underside")]
+    | Annotated[FoamUnderside, Tag("as foam underside")],
+    Discriminator(_underside),
+]

@@ -13,16 +13,20 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ModelWrapValidatorHandler, TypeAdapter, model_validator
 from pydantic_core import PydanticCustomError
 
-from .base import Name, Part, UserCode, Within, idle
-from .changes import as_given, changed_keys, put, remade
+from .base import Name, Part, UserCode, Within, as_given, changed_keys, idle, put, remade
 from .device import Device, Grid, GridRows, VoltageRows
-from .elements import AnySupports, Element, FreeUnderside, LibraryPatch, MeshOptions
 from .limb import (
+    AnySupports,
     CylinderLimb,
+    Element,
     ForearmLimb,
+    FreeUnderside,
+    LibraryPatch,
     Limb,
     MeshLimb,
+    MeshOptions,
     SlabLimb,
+    Tissues,
     forearm_length,
     has_bone,
     layer_tissues,
@@ -31,7 +35,6 @@ from .limb import (
 from .measurement import MeasurementOptions
 from .rendering import RenderingOptions
 from .sweep import Band, ReducedSolve, Solver, Sweep
-from .tissues import Tissues
 
 # Accuracy of a slab under pressure discs; at 0.1 second order does in half the time (decision 0002). Under rigid
 # ones it pays always: rims of small cones left 5 % of their receptance to second order.
@@ -160,6 +163,11 @@ class Scenario(Part):
         reach = device.cone.radius + _BESIDE
         gaps = (min(math.dist(place, centre) for centre in device.centres) for place in self.grid.places)
         return tuple(str(i) for i, gap in enumerate(gaps, start=1) if gap < reach)
+
+    @property
+    def reduction_tolerance(self) -> float:
+        """e(f) that a reduced model may cost [-]: a hundredth of the accuracy asked for."""
+        return self.accuracy / 100
 
     @model_validator(mode="after")
     def _targets_exist(self) -> Self:

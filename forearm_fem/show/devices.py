@@ -262,8 +262,7 @@ def ratios_block(found: Devices, a: Device, b: Device) -> Block:
                 lost = [d.name for d in (a, b) if not d.data.counted[t]]
                 cells.append(f"not counted for {' and '.join(lost)}")
                 continue
-            known = f"{low:.2f} to {high:.2f}" if np.isfinite([low, high]).all() else "interval unknown"
-            text = f"×{middle:.2f} ({known})" if np.isfinite(middle) else "unknown"
+            text = f"×{middle:.2f}{_brackets(low, high)}" if np.isfinite(middle) else "unknown"
             if arms is not None:
                 text += f"; {100 * (arms.ratio[:, i, t] > 1).mean():.0f} % of arms above 1"
             cells.append(text)
@@ -293,8 +292,14 @@ def devices_block(found: Devices) -> Block:
 
 def _with_interval(found: Devices, d: Device) -> str:
     low, high = _mean_interval(found, d)
-    known = f" ({low:.2f} to {high:.2f})" if np.isfinite([low, high]).all() else " (interval unknown)"
-    return f"{strength_text(found.mean(d))}{known}"
+    return f"{strength_text(found.mean(d))}{_brackets(low, high)}"
+
+
+def _brackets(low: float, high: float) -> str:
+    """E.g. `` (1.30 to 1.32)``; empty where the second decimal does not move."""
+    if not np.isfinite([low, high]).all():
+        return " (interval unknown)"
+    return f" ({low:.2f} to {high:.2f})" if f"{low:.2f}" != f"{high:.2f}" else ""
 
 
 def points_block(found: Devices) -> Block:

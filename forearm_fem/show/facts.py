@@ -297,12 +297,15 @@ def by_target_block(results: Results) -> Block:
         for m, method in enumerate(data.methods):
             low, high = data.low[m, t], data.high[m, t]
             known = np.isfinite(low) and np.isfinite(high)
-            span = f" ({strength_text(low)} to {strength_text(high)})" if known else " (unknown)"
+            ends = f"{strength_text(low)} to {strength_text(high)}"
+            same = strength_text(low) == strength_text(high)  # narrower than the digits shown
+            span = " (unknown)" if not known else "" if same else f" ({ends})"
             entry = account.methods.get(method, {}).get(target) if holes else None
             lost = f", holes ± {entry.holes:.2g}" if entry and entry.holes else ""
             cells.append(f"{strength_text(data.values[m, t])}{spreads(data, method, target) or span}{lost}")
         rows.append(cells)
-    said = ["In brackets: S within the errors stated for G, nine in ten of them; how arms differ is not in it."]
+    said = ["In brackets: S within the errors stated for G, nine in ten of them, where that moves a digit shown; "
+            "how arms differ is not in it."]  # fmt: skip
     if data.arms is not None:
         said = [
             "Numerics: S within the errors stated for G, nine in ten of them. Arms: 5-95 % of "

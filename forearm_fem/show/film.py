@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from PIL import Image
 
-from ..device.response import carries_points
+from ..device.loop import carries_points
 from ..errors import DataError, optional
 from ..ports import Port
 from ..progress import Progress, tell

@@ -18,6 +18,7 @@ from matplotlib.patches import Circle
 
 from ..errors import DataError, NotApplicable
 from ..metrics import StrengthTable, signal_strength_table, thesis_table
+from ..metrics.strength import numerics_words
 from ..ports import Port, positions
 from ..store.text import markdown_table
 from ..transfer import size_words
@@ -242,8 +243,7 @@ def spreads(data: Strengths, method: str, place: str) -> str:
     inside = data.arms["groups"][place] if by_group else [place]
     columns = [i for i, t in enumerate(data.targets) if t in inside and (data.counted[i] or not by_group)]
     low, high = (each[data.methods.index(method), columns].mean() for each in (data.low, data.high))
-    numerics = f"{low:.2f}-{high:.2f}" if np.isfinite(low) and np.isfinite(high) else "unknown"
-    return f" (numerics {numerics}, arms {known['arms'][0]:.2f}-{known['arms'][-1]:.2f})"
+    return f" (numerics {numerics_words(low, high)}, arms {known['arms'][0]:.2f}-{known['arms'][-1]:.2f})"
 
 
 def _cell(mean: float, std: float) -> str:

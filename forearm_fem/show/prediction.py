@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from ..metrics.strength import numerics_words
 from ..store.folder import write_text
 from ..usercode import is_code
 from .page import Block, Page, Section, as_csv, embedded
@@ -136,7 +138,7 @@ _WIDE = 1.1  # factor of S, by errors of the arms' own G, from which on the repo
 def write_prediction(folder: str | Path, data: Mapping[str, Any]) -> tuple[Path, Path]:
     """``prediction.html`` (self-contained) and ``prediction.md`` of ``data``, and ``figures/`` with their numbers.
 
-    ``data`` is what :func:`forearm_fem.questions.predict.summary.summary` makes. Returns the paths of the two.
+    ``data`` is what :func:`forearm_fem.questions.predict.statistics.summary` makes. Returns the paths of the two.
     """
     out = Path(folder)
     stamp = f"scene {data['scenario']['name']} · {data['draws']} arms, {data['model']} · forearm_fem {data['program']}"
@@ -183,7 +185,7 @@ def lead_of(data: Mapping[str, Any]) -> str:
 def strength_words(cell: Mapping[str, Any]) -> str:
     """E.g. ``1.31 (numerics 1.30-1.32, arms 0.70-1.80)``: the scene's S, its numerical interval, 5-95 % of arms."""
     low, high = cell.get("low"), cell.get("high")
-    numerics = f"{low:.2f}-{high:.2f}" if low is not None and high is not None else "unknown"
+    numerics = numerics_words(math.nan if low is None else low, math.nan if high is None else high)
     value = "unknown" if cell.get("value") is None else f"{cell['value']:.2f}"
     return f"{value} (numerics {numerics}, arms {cell['arms'][0]:.2f}-{cell['arms'][-1]:.2f})"
 

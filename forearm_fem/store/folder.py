@@ -1,4 +1,4 @@
-"""The results folder: files whole or absent, one command at a time, its kind, and ``SHA256SUMS``."""
+"""Folders: the cache of this machine, and results folders with files whole or absent and one command at a time."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import secrets
+import tempfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -13,32 +14,63 @@ from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
+from platformdirs import user_cache_path
 
 from ..errors import DataError
+
+
+def default_cache_dir() -> Path:
+    """$FOREARM_FEM_CACHE, else the system's place: on Linux $XDG_CACHE_HOME/forearm_fem or ~/.cache/forearm_fem.
+
+    A private temporary folder where that cannot be written.
+    """
+    if own := os.environ.get("FOREARM_FEM_CACHE"):
+        return Path(own)
+    usual = user_cache_path("forearm_fem", appauthor=False)
+    return next((folder for folder in (usual, private_temporary()) if is_writable(folder)), usual)
+
+
+def private_temporary(end: str = "") -> Path:
+    """A folder for this user below the system's temporary one; ask :func:`is_writable` before it is used."""
+    user = os.getuid() if hasattr(os, "getuid") else "user"  # Windows has a temporary folder for each user
+    return Path(tempfile.gettempdir()) / f"forearm_fem-{user}{end}"
+
+
+def is_writable(folder: Path) -> bool:
+    """True if it is there or can be made, is nobody else's (code that lies in it is run), and takes a file."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if hasattr(os, "getuid") and folder.stat().st_uid != os.getuid():
+            return False
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
+
+
+# The results folder: files whole or absent, one command at a time, its kind, and ``SHA256SUMS``.
 
 LOCK, RECORD, SUMS = ".lock", "folder.json", "SHA256SUMS"
 _ALONE = ("run", "design", "campaign", "study", "calibration", "prediction")  # kinds that share a folder with no other
 
 
 @contextmanager
-def atomic_path(path: str | Path, *, durable: bool = True) -> Iterator[Path]:
+def atomic_path(path: str | Path) -> Iterator[Path]:
     """A path beside ``path`` to write to; it takes ``path``'s place when the block ends without failure.
 
-    Folders are made as needed. ``durable`` data are on the disk before the old file is replaced; a cache that is
-    checked when it is read need not be. After a failure the old file stands and nothing is left beside it. The suffix
-    is kept, for writers that look at it. Raises DataError where the file cannot be written.
+    Folders are made as needed, and data are on the disk before the old file is replaced. After a failure the old file
+    stands and nothing is left beside it. The suffix is kept, for writers that look at it. Raises DataError where the
+    file cannot be written.
     """
     target = Path(path)
     beside = target.with_name(f".{target.stem}-{secrets.token_hex(4)}{target.suffix}")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         yield beside
-        if durable:
-            with beside.open("rb+") as stream:
-                os.fsync(stream.fileno())
+        with beside.open("rb+") as stream:
+            os.fsync(stream.fileno())
         os.replace(beside, target)
-        if durable:
-            _flush_folder(target.parent)
+        _flush_folder(target.parent)
     except OSError as problem:
         raise DataError(f"{target}: cannot be written ({problem.strerror or problem})") from problem
     finally:
@@ -52,13 +84,13 @@ def refuse_no_file(file: Path) -> None:
         raise DataError(f"{file}: {'is a folder, expected a file' if file.is_dir() else 'no such file'}")
 
 
-def write_bytes(path: str | Path, content: bytes, *, durable: bool = True) -> None:
+def write_bytes(path: str | Path, content: bytes) -> None:
     """``content``, whole or not at all.
 
     Libraries write into memory, and the memory goes here: on a full disk HDF5 leaves objects behind that crash the
     process when they are closed.
     """
-    with atomic_path(path, durable=durable) as beside:
+    with atomic_path(path) as beside:
         beside.write_bytes(content)
 
 

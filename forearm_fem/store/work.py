@@ -84,9 +84,9 @@ def _has_dask() -> bool:
         return False
 
 
-def light_workers(each: float = LIGHT) -> int:
-    """Processes of ``each`` [bytes] that cores and free memory allow."""
-    return max(1, min(os.cpu_count() or 1, int(SHARE * psutil.virtual_memory().available // each)))
+def light_workers() -> int:
+    """Processes of ``LIGHT`` bytes that cores and free memory allow."""
+    return max(1, min(os.cpu_count() or 1, int(SHARE * psutil.virtual_memory().available // LIGHT)))
 
 
 @contextmanager

@@ -22,11 +22,11 @@ from scipy.io import wavfile
 from scipy.signal import resample
 
 from .. import __version__
-from ..contents import text_of
 from ..errors import DataError, ScenarioError
 from ..measurement.daq import faded
 from ..ports import Port
 from ..store.folder import atomic_path, write_text
+from ..store.text import text_of
 from ..typing import FloatArray
 from .plan import Trial, tasks_of, trials
 from .run import Made, Prepared

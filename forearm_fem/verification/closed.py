@@ -12,8 +12,7 @@ from ..fem.assembly.model import build_model
 from ..fem.reduction.sweep import direct_sweep
 from ..layered import kelvin_voigt_shear_wave
 from ..ports import Port
-from ..scenario.elements import FreeUnderside
-from ..scenario.tissues import Membrane
+from ..scenario.limb import FreeUnderside, Membrane
 from .scenes import (
     DIRECT,
     RADIUS,

@@ -21,9 +21,8 @@ from ..laws import KelvinVoigt
 from ..layered import Base, Disc, Layer, layered_compliance
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
-from ..scenario.elements import FreeUnderside
+from ..scenario.limb import FreeUnderside, Membrane
 from ..scenario.sweep import DirectSolve
-from ..scenario.tissues import Membrane
 from ..tissue import Tissue, resolve_tissues
 from ..typing import ComplexArray, FloatArray, IntArray
 

@@ -27,13 +27,12 @@ from ...scenario.sweep import frequencies
 from ...store.record import dims
 from ...transfer import Compliance, ErrorEstimate
 from ...typing import BoolArray, ComplexArray, FloatArray, IntArray
+from ..fem import Solved
 from ..layered import flat_layers, flat_surface
 from ..simulation import refuse_unheld
-from ..solved import Solved
 from .between import Bands, Lattice, Prior, Shape, shape_of
-from .limb import constrained_compliance, deviation_held, modal_compliance, real_product
-from .loads import flat_compliance
-from .skin import FlatSkin, flat_skin
+from .side import constrained_compliance, deviation_held, modal_compliance, real_product
+from .skin import FlatSkin, flat_compliance, flat_skin
 
 MARGIN = 0.02  # [m] of skin around the patch that bells reach
 WIDTH = 0.4  # of a bell, in steps of the lattice

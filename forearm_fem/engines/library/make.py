@@ -22,10 +22,8 @@ from ...typing import ComplexArray, FloatArray
 from ..layered import flat_layers, flat_surface, kept_tables, tables_reach
 from .arm import WIDTH, ArmLibrary, library_band, library_skin
 from .between import Bands, Lattice
-from .limb import modal_compliance
-from .loads import GaussianLoads, between_flat_bells, flat_compliance, pair_distances
-from .side import BIN, LoadedSkin, MeshPart, solved_side
-from .skin import FlatSkin
+from .side import BIN, LoadedSkin, MeshPart, modal_compliance, solved_side
+from .skin import FlatSkin, GaussianLoads, between_flat_bells, flat_compliance, pair_distances
 
 # ``library.nc``: an arm's library as one file that can be shared.
 

@@ -10,8 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from ...geometry.limb.thickness import Stretch
-from ...scenario.elements import FoamUnderside, Supports
-from ...scenario.tissues import Membrane, Patch
+from ...scenario.limb import FoamUnderside, Membrane, Patch, Supports
 from ...tissue import Tissue
 from ...typing import ComplexArray, FloatArray
 from .thickness import factor, unmarked

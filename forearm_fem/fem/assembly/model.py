@@ -15,8 +15,7 @@ from scipy.sparse import block_array, csc_array, csr_array, vstack
 from ...errors import GeometryError
 from ...geometry.mesh.tissue_mesh import TissueMesh
 from ...ports import Port
-from ...scenario.elements import Supports
-from ...scenario.tissues import Membrane, Patch
+from ...scenario.limb import Membrane, Patch, Supports
 from ...tissue import Tissue
 from ...typing import FloatArray, IntArray
 from ..kernels.matrices import added, congruent

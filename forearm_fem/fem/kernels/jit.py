@@ -22,7 +22,7 @@ from numba.core.caching import _Cache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
-from ...user_cache import default_cache_dir, is_writable, private_temporary
+from ...store.folder import default_cache_dir, is_writable, private_temporary
 
 F = TypeVar("F", bound=Callable[..., Any])
 _FEM = Path(__file__).parents[1]

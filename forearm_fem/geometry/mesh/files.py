@@ -14,9 +14,9 @@ from typing import Any
 import meshio
 import numpy as np
 
-from ...contents import stand_in
 from ...errors import MeshError, MissingExtra
 from ...store.folder import atomic_path
+from ...store.text import stand_in
 from ...typing import IntArray
 from .abaqus import read_inp
 from .formats import read_exodus, read_febio, read_nastran, read_unv, read_xdmf

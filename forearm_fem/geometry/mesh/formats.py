@@ -16,8 +16,8 @@ import h5py
 import meshio
 import numpy as np
 
-from ...contents import text_of, whole
 from ...errors import MeshError, optional
+from ...store.text import text_of, whole
 from ...typing import FloatArray, IntArray
 
 _SOLIDS = {"CHEXA": "hexahedron", "CPENTA": "wedge", "CPYRAM": "pyramid", "CPYRA": "pyramid"}

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ...contents import text_of, whole
 from ...errors import GeometryError
+from ...store.text import text_of, whole
 from ...typing import FloatArray, IntArray
 from ..mesh.files import by_vtk
 

@@ -19,19 +19,20 @@ from matplotlib.figure import Figure
 from ... import __version__
 from ...files.declaration import arbitrary_gain
 from ...metrics.common_ground import CommonGround
+from ...metrics.strength import strength_text
 from ...ports import positions
 from ...rendering.drives import counted_points, not_counted_words
-from ...scenario.shipped import shipped_scenarios
+from ...scenario.load import shipped_scenarios
 from ...show.page import Block, Page, Section, embedded
 from ...show.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, micro, panels, sign, single, styled
 from ...store.folder import atomic_path, set_kind, write_text
 from ...typing import BoolArray
 from .agreement import fdac_matrix, percent, where_words
-from .compare import Comparison, comparison_record
-from .crossplay import CrossPlay
+from .compare import Comparison, CrossPlay, comparison_record
 
 FILES = ("comparison.json", "comparison.csv", "comparison.png", "comparison.md", "comparison.html")
 _SIDES = (("A", ACTUATORS[0], "-"), ("B", ACTUATORS[5], "--"))
+_DARK = 0.6  # of the scale: names on darker colours are white
 _COLUMNS = ("output", "input", "e", "dB_rms", "dB_bias", "phase_rad", "delay_s", "FRAC", "misfit_in_sigma")
 
 
@@ -216,10 +217,13 @@ def _strengths(c: Comparison) -> dict[str, Any]:
         return {"paragraphs": [f"Signal strength: {c.not_crossed}."]}
     x = c.crossed
     kept, left_out = compared_targets(c)
-    header = ["S, mean over the same points", "A on A", "B on B", "A on B", "B on A", "worth"]
+    a, b = c.names
+    header = ["S, mean over the same points", a, b, f"drives for {a} on {b}", f"drives for {b} on {a}", f"kept on {b}"]
     arrays = (x.a_on_a, x.b_on_b, x.a_on_b, x.b_on_a, x.worth)
-    rows = [[m, *(_number(_mean(a[j, kept])) for a in arrays)] for j, m in enumerate(x.methods)]
-    note = f"A on B: drives made for {c.names[0]}, played on {c.names[1]}. S by {x.how}."
+    means = [[_mean(s[j, kept]) for s in arrays] for j in range(len(x.methods))]
+    cells = [["-" if s is None else strength_text(s) for s in row] for row in means]
+    rows = [[m, *row] for m, row in zip(x.methods, cells, strict=True)]
+    note = f"Kept: S of drives for {a}, over S of drives made for {b}, both played on {b}. S by {x.how}."
     return {"block": Block(header, rows, f"{left_out} {note}".strip())}
 
 
@@ -268,9 +272,10 @@ def plot_where(c: Comparison) -> Figure:
     for panel, (start, end), points, motors in zip(axes, found.bands, by_point, by_coil, strict=True):
         panel.scatter(*at.T, c=points, s=150, **look)
         panel.scatter(*coils.T, c=motors, s=170, marker="s", **look)
-        for places, ports in ((at, ground.outputs), (coils, ground.inputs)):
-            for place, port in zip(places, ports, strict=True):
-                panel.annotate(port.name, place, ha="center", va="center", fontsize=6)
+        for places, ports, errors in ((at, ground.outputs, points), (coils, ground.inputs, motors)):
+            for place, port, error in zip(places, ports, errors, strict=True):
+                ink = "white" if norm(error) > _DARK else INK
+                panel.annotate(port.name, place, ha="center", va="center", fontsize=6, color=ink)
         panel.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=f"{start:.3g}–{end:.3g} Hz")
         panel.axis("off")
     bar = figure.colorbar(ScalarMappable(norm, "YlOrBr"), ax=list(axes), shrink=0.9, fraction=0.04)

@@ -109,7 +109,7 @@ class Candidate:
 
     @property
     def outcome(self) -> str:
-        """All that became of the values, to nine digits."""
+        """Everything found for the values, to nine digits."""
         return json.dumps({k: v for k, v in _rounded(self.as_json()).items() if k != "values"}, sort_keys=True)
 
     def as_json(self) -> dict[str, Any]:

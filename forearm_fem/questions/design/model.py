@@ -44,13 +44,11 @@ from ...rendering.drives import CLEARANCE
 from ...rendering.job import user_renderer
 from ...scenario import Scenario, load_scenario, parse_scenario, scenario_beside
 from ...scenario.actuators import ACTUATORS
-from ...scenario.base import Name, Part, Within
-from ...scenario.changes import dotted
+from ...scenario.base import Name, Part, Within, dotted
 from ...scenario.device import HeldHousing
-from ...scenario.load import DOTTED
+from ...scenario.load import DOTTED, read_toml
 from ...scenario.model import for_elements_only
 from ...scenario.rendering import Method
-from ...scenario.shipped import read_toml
 from ...typing import BoolArray, FloatArray
 from ...usercode import is_code
 

@@ -40,7 +40,6 @@ from .draws import FASCIA, has_fascia
 # A third of the time of the layered model's own; what it costs is stated per draw
 _TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)
 _JUDGED = 6  # every so many frequencies the series are judged
-_DEGREES = 14  # polynomials of tape
 _OF_CHANGE = (1e-2, 3)  # tolerance and terms for what geometry changes: 5e-5 of it apart, in two thirds of the time
 _ALONE, _FAR, _SCATTERED = (1,), 0.5, 0.06  # orders of a change, up to which nearness, and what they leave out of it
 _ENOUGH = 0.1  # e(f): where fewer orders say more (a point near a cone, little loss), more are taken
@@ -116,11 +115,12 @@ class LayeredArm:
     def _between(self, scenario: Scenario, ports: tuple[Port, ...], frequency: FloatArray) -> Compliance:
         """Compliance between ``ports`` on the scenario's layers."""
         contacts, discs = ([flat_disc(port) for port in some] for some in (contacts_of(ports), ports))
-        for orders in self.orders:
+        sheet = flat_sheet(scenario.tissues)
+        for orders in self.orders if sheet is None else self.orders[-1:]:  # tape may reach to the cones' rims
             found = layered_compliance(
                 flat_layers(scenario), 2 * np.pi * frequency, contacts, discs, surface=flat_membrane(scenario.tissues),
-                sheet=flat_sheet(scenario.tissues), tolerance=self.tolerance, terms=self.terms, orders=orders,
-                degrees=_DEGREES, judged=_JUDGED,
+                sheet=sheet, tolerance=self.tolerance, terms=self.terms, orders=orders,
+                judged=_JUDGED,
             )  # fmt: skip
             error = found.quadrature + found.interpolation
             error = np.asarray(error if self.orders == _ALONE else error + found.truncation)

@@ -278,17 +278,17 @@ def scenario_of(draw: Draw, scenario: Scenario, held: Collection[str] = ()) -> S
 
 
 def _has_place_for_fascia(scenario: Scenario) -> bool:
-    """Whether the limb's core is muscle and no layer is a fascia yet."""
+    """True if the limb's core is muscle and no layer is a fascia yet."""
     return getattr(scenario.limb, "core", "") == "muscle" and not has_fascia(scenario)
 
 
 def has_fascia(scenario: Scenario) -> bool:
-    """Whether a layer of the limb is a fascia."""
+    """True if a layer of the limb is a fascia."""
     return any(layer.tissue == FASCIA for layer in getattr(scenario.limb, "layers", ()))
 
 
 def is_bare(scenario: Scenario, held: Collection[str]) -> bool:
-    """Whether arms of the ``scenario`` have no deep fascia: it has none, and none is drawn."""
+    """True if arms of the ``scenario`` have no deep fascia: it has none, and none is drawn."""
     return not has_fascia(scenario) and ("fascia thickness" in held or not _has_place_for_fascia(scenario))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ... import __version__
 from ...device import close_loop
-from ...engines.notes import check_samples
+from ...engines.forecast import check_samples
 from ...engines.simulation import simulate
 from ...errors import AccuracyWarning, ForearmError, ReductionError, ScenarioError
 from ...fem.kernels.compiled import freed_memory_kept
@@ -32,7 +32,7 @@ from ...rendering.job import RenderJob, check_servable, wavelet
 from ...results.draws import DRAWS_FILE, KEPT, READINGS, DrawsFile, Outcome
 from ...results.files import TransferFile
 from ...scenario import Scenario
-from ...scenario.shipped import code_files, contents, named_files
+from ...scenario.load import code_files, contents, named_files
 from ...scenario.sweep import frequencies
 from ...store.folder import check_kind, set_kind
 from ...store.record import save
@@ -208,14 +208,14 @@ class Prediction(Manners):
     def plot(self) -> FigureBase:
         """S of arms at every target beside that of the scene itself."""
         from ...show.prediction import plot_bands
-        from .summary import summary
+        from .statistics import summary
 
         return plot_bands(summary(self, sobol=False))
 
     def save(self, folder: str | Path, *, sobol: bool = True, progress: Progress | None = None) -> tuple[Path, Path]:
         """Write page, pictures and ``prediction.json`` into ``folder``; with ``sobol`` indices where SALib is there."""
         from ...show.prediction import write_prediction
-        from .summary import summary, write_summary
+        from .statistics import summary, write_summary
 
         tell(progress, "report", 0, 1)
         content = summary(self, sobol)

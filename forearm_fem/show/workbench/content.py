@@ -36,7 +36,7 @@ from ...rendering.job import least_error, wavelet
 from ...results.draws import DRAWS_FILE, DrawsFile
 from ...scenario import Scenario, parse_scenario
 from ...scenario.actuators import beneath
-from ...scenario.changes import put
+from ...scenario.base import put
 from ...scenario.device import Device, VoltageRows
 from ...scenario.rendering import RickerWavelet, SampledWavelet
 from ...scenario.sweep import frequencies

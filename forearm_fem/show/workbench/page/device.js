@@ -1,5 +1,5 @@
 /**
- * Coils, cones and housing around the skin's compliance: G without another solve. As Python's device/response.py.
+ * Coils, cones and housing around the skin's compliance: G without another solve. As Python's device/loop.py.
  *
  * @typedef {import("./arrays.js").Complex} Complex
  * @typedef {{name: string, position: number[], axis: number[], radius: number, kind: string}} Port

@@ -35,7 +35,7 @@ export function heads(app) {
         h("button", { type: "button", class: CLASS[method], "aria-pressed": String(app.focus === method), onclick: () => app.attend(method), text: `${title}${method}` }),
         h("div", { class: "s", "data-method": method }, whatIsS(), o.problem ? "–" : strengthText(o.strength)),
         h("div", { class: "why", text: why }), beside ? h("div", { class: "why beside", text: beside }) : null,
-        band ? h("div", { class: "why", "data-arms": method, text: `people ${say(band[0], 2)} to ${say(band[2], 2)}, median ${say(band[1], 2)}` }) : null),
+        band ? h("div", { class: "why", "data-arms": method, text: `people ${roughly(band[0])} to ${roughly(band[2])}, median ${roughly(band[1])}` }) : null),
       h("div", { class: "foot", text: arms.words(method, experiment, key) }));
   }));
 }
@@ -43,6 +43,11 @@ export function heads(app) {
 /** S to three digits, the last of which may be 0. @param {number} s */
 function strengthText(s) {
   return Number.isFinite(s) && s > 0 && s < 100 ? s.toFixed(s < 1 ? 3 : s < 10 ? 2 : 1) : say(s);
+}
+
+/** S of people, to two digits. @param {number} s */
+function roughly(s) {
+  return s > 0.01 && s < 99 ? s.toPrecision(2) : say(s, 2);
 }
 
 /** Ends of an interval of S; one number where it is narrower than the digits. @param {[number, number]} range @param {number} s @param {string} to */
@@ -188,7 +193,7 @@ function fill(app, version, row) {
     const s = experiment.strength(method, row), range = experiment.interval(method, row);
     const band = experiment.arms(method, row), before = app.kept?.strength(method, row);
     const told = strengthText(s), wide = range && range.map(strengthText).some((end) => end !== told), was = before === undefined ? "" : strengthText(before);
-    cell.replaceChildren(told, ...(wide ? [" ", h("small", { text: `(${interval(range, s, "–")})` })] : []), ...(band ? [" ", h("small", { class: "people", text: `people ${say(band[0], 2)}–${say(band[2], 2)}` })] : []),
+    cell.replaceChildren(told, ...(wide ? [" ", h("small", { text: `(${interval(range, s, "–")})` })] : []), ...(band ? [" ", h("small", { class: "people", text: `people ${roughly(band[0])}–${roughly(band[2])}` })] : []),
       ...(before === undefined ? [] : [" ", h("small", { class: `people ${was === told ? "" : s > before ? "gain" : "loss"}`, text: `kept ${was}` })]));
     /** @type {HTMLElement} */ (cell).dataset.value = String(s);
   }
