@@ -13,42 +13,50 @@ from typing import Any
 
 import numpy as np
 
-from forearm_fem.engines.simulation import render_transfer, simulate
+from forearm_fem.engines.simulation import simulate
+from forearm_fem.rendering.job import RenderJob, render_transfer
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.transfer import band_error
 
-THIN, THICK = (("skin", 1.2e-3), ("fat", 3e-3)), (("skin", 1.5e-3), ("fat", 6e-3))
-# name: spacing of the actuators and pitch of the grid [m], layers, preset, accuracy
-SCENES: dict[str, tuple[float, float, Any, str, float]] = {
-    "thesis 0.3": (0.045, 0.0133, THIN, "default", 0.3),
-    "thesis 0.1": (0.045, 0.0133, THIN, "default", 0.1),
-    "20 mm 0.3": (0.020, 0.006, THIN, "default", 0.3),
-    "20 mm 0.1": (0.020, 0.006, THIN, "default", 0.1),
-    "thick fat 0.3": (0.045, 0.0133, THICK, "default", 0.3),
-    "thick fat 20 mm 0.3": (0.020, 0.006, THICK, "default", 0.3),
-    "30 mm 0.3": (0.030, 0.009, THIN, "default", 0.3),
-    "30 mm 0.1": (0.030, 0.009, THIN, "default", 0.1),
-    "zhang 0.3": (0.045, 0.0133, (), "zhang", 0.3),
-    "zhang 30 mm 0.3": (0.030, 0.009, (), "zhang", 0.3),
-}
+THIN, THICK, BARE = (("skin", 1.2e-3), ("fat", 3e-3)), (("skin", 1.5e-3), ("fat", 6e-3)), (("skin", 2.5e-3),)
+MID, LEAN = (("skin", 1.5e-3), ("fat", 4.5e-3)), (("skin", 1.0e-3), ("fat", 2e-3))
+FINE, PLAIN = {"size_contact": 0.004, "size_far": 0.02}, {"size_contact": 0.005, "size_grid": 0.005, "size_far": 0.025}
+NEAR = {**PLAIN, "size_contact": 0.004, "size_grid": 0.004}
+PITCH = {45: 0.0133, 35: 0.0105, 30: 0.009}
+QUICK = {"size_contact": 0.006, "size_grid": 0.005, "size_far": 0.03, "grading": 0.6}
+# name: layers, preset, spacing, side and depth [mm], band [Hz], mesh; the factor and the share apart came of the first
+SCENES: dict[str, tuple[Any, str, float, float, float, float, float, dict[str, Any]]] = {
+    "thin": (THIN, "default", 45, 140, 40, 60, 250, FINE),
+    "thick, 100-300 Hz": (THICK, "default", 45, 140, 40, 100, 300, FINE),
+    "thin, 30 mm, 120-300 Hz": (THIN, "default", 30, 90, 25, 120, 300, NEAR),
+    "bare, 60-200 Hz": (BARE, "default", 45, 130, 35, 60, 200, {**QUICK, "sublayers": {"skin": 1}}),
+    "mid, springpot, 30 mm, 100-300 Hz": (MID, "springpot", 30, 90, 25, 100, 300, PLAIN),
+    "unseen: thin, springpot": (THIN, "springpot", 45, 130, 35, 60, 250, {**QUICK, "sublayers": {"skin": 1, "fat": 1}}),
+    "unseen: zhang": ((), "zhang", 45, 120, 35, 60, 250, PLAIN),
+    "unseen: mid, 35 mm, 80-250 Hz": (MID, "default", 35, 110, 30, 80, 250, PLAIN),
+    "unseen: lean, 100-250 Hz": (LEAN, "default", 45, 120, 30, 100, 250, PLAIN),
+    "unseen: quick": (THIN, "default", 45, 150, 40, 50, 250, {**QUICK, "sublayers": {"skin": 1, "fat": 1}}),
+}  # fmt: skip
 
 
 def scene(name: str, engine: str) -> Any:
     """The scenario of a scene for either engine."""
-    spacing, pitch, layers, preset, accuracy = SCENES[name]
+    layers, preset, spacing, side, depth, low, high, mesh = SCENES[name]
     return parse_scenario(
         {
             "name": "strength",
             "engine": engine,
-            "accuracy": accuracy,
+            "accuracy": 0.2 if name == "thick, 100-300 Hz" else 0.3,
             "limb": {
-                "shape": "slab", "length": 0.05 + 1.4 * spacing, "width": 0.05 + 1.4 * spacing, "depth": 0.02,
+                "shape": "slab", "length": 1e-3 * side, "width": 1e-3 * side, "depth": 1e-3 * depth,
                 "layers": [{"tissue": t, "thickness": h} for t, h in layers],
             },
             "tissues": {"preset": preset},
-            "device": {"spacing": spacing, "cone": {"contact": "pressure"}},
-            "grid": {"pitch": pitch},
-            "sweep": {"duration": 0.5},
+            "device": {"spacing": 1e-3 * spacing, "cone": {"contact": "pressure"}},
+            "grid": {"pitch": PITCH[spacing]},
+            "sweep": {"f_min": low, "f_max": high, "duration": 0.5},
+            "rendering": {"wavelet": {"peak": (low * high) ** 0.5}},
+            "mesh": {**mesh, "element": "P2"},
         }
     )  # fmt: skip
 
@@ -63,33 +71,46 @@ def pair(name: str, folder: Path) -> dict[str, Any]:
     return pickle.loads(file.read_bytes())
 
 
-def judged(name: str, folder: Path) -> tuple[list[Any], Any, Any]:
-    """A row of the table, and |log S / S layered model| and half widths of every entry."""
+def judged(name: str, folder: Path) -> tuple[list[Any], Any, Any, Any]:
+    """A row of the table; |log S / S layered model|, half widths, and |log S| played on the layered model, of all."""
     found = pair(name, folder)
     scenario, fine, layered = scene(name, "fem"), found["fine"], found["layered"]
-    rendering = render_transfer(scenario, fine)
-    account = rendering.strength
-    true = np.abs(np.log(account.value / render_transfer(scenario, layered).strengths))
+    job = RenderJob.of(scenario, fine)
+    account = render_transfer(scenario, fine).strength
+    (own, played), (true,) = job.strengths(fine, fine, layered)[0], job.strengths(layered)[0]
+    true, played = np.abs(np.log(own / true)), np.abs(np.log(own / played))
     half = np.log(account.high / account.low) / 2
     bands = {e.source: e.band for e in fine.errors}
     row = [
         name, bands["discretisation"], bands["truncation"], band_error(fine.values, layered.values),
-        float((true <= half).mean()), float(np.median(true)), float(np.median(half)),
-        float(np.median(half / true)), float((half < true / 2).sum()),
+        *judgement(true, half, played),
     ]  # fmt: skip
-    return row, true, half
+    return row, true, half, played
+
+
+def judgement(true: Any, half: Any, played: Any) -> list[float]:
+    """Figures of one scene or of several."""
+    return [
+        float(x)
+        for x in ((true <= half).mean(), np.median(true), np.median(half), np.median(half / true),
+                  (half < true / 2).sum(), (played <= half).mean())
+    ]  # fmt: skip
 
 
 HEADER = ["scene", "discretisation", "truncation", "true e_band", "within", "median error", "median half width",
-          "median of half width over error", "half width below half the error"]  # fmt: skip
+          "median of half width over error", "half width below half the error", "within as played"]  # fmt: skip
 
 
 if __name__ == "__main__":
     place = Path(sys.argv[1])
     place.mkdir(exist_ok=True)
-    rows, true, half = zip(*(judged(name, place) for name in sys.argv[2:] or SCENES), strict=True)
-    e, h = (np.concatenate([x.ravel() for x in each]) for each in (true, half))
-    total = ["all", "", "", "", (e <= h).mean(), np.median(e), np.median(h), np.median(h / e), (h < e / 2).sum()]
+    names = sys.argv[2:] or list(SCENES)
+    rows, *parts = zip(*(judged(name, place) for name in names), strict=True)
+    for said, mine in (("seen", False), ("unseen", True)):
+        some = [i for i, name in enumerate(names) if name.startswith("unseen") is mine]
+        if some:
+            flat = (np.concatenate([part[i].ravel() for i in some]) for part in parts)
+            rows = (*rows, [said, "", "", "", *judgement(*flat)])
     with (Path(__file__).parent / "results" / "strength.csv").open("w", newline="") as stream:
         table = csv.writer(stream)
-        table.writerows([HEADER, *([f"{x:.4g}" if not isinstance(x, str) else x for x in r] for r in (*rows, total))])
+        table.writerows([HEADER, *([f"{x:.4g}" if not isinstance(x, str) else x for x in r] for r in rows)])

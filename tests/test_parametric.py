@@ -470,13 +470,14 @@ def test_what_geometry_changes_between_the_frequencies_asked_is_within_its_state
     arm, drawn = ReducedArm(scene, model, LayeredArm()), parse_scenario(THICK)
     own, f = with_scene_geometry(scene, drawn), frequencies(scene.sweep)[::2]
     some = slice(3, None, 20)
-    (change, error), (exact, _) = arm._change(drawn, own, f), arm._change(drawn, own, f[some])
+    pair = drawn, own
+    (change, error, _), (exact, *_) = arm._change(pair, pair, f), arm._change(pair, pair, f[some])
     off = np.abs(change[some] - exact)[:, 2:, :2]
     assert len(f) > 33 > len(f[some])
     assert np.abs(exact[:, 2:, :2]).max() > 30 * off.max() > 0
     assert (off.max(axis=(1, 2)) <= error[some, 2, 0]).all()
     far = laid_at(scene, [[0.0, 9.5e-3], [2e-3, -9e-3]])  # changes nothing under contacts
-    moved, error = arm._change(far, scene, f)
+    moved, error, _ = arm._change((far, scene), (far, scene), f)
     assert not moved[:, :2, :2].any()
     assert np.isfinite(moved).all()
     assert np.isfinite(error).all()

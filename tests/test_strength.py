@@ -40,7 +40,7 @@ from forearm_fem.rendering import (
     thesis_renderers,
 )
 from forearm_fem.rendering import interval as account_module
-from forearm_fem.rendering.interval import at_least_band, finer_than_known, strength_of
+from forearm_fem.rendering.interval import as_drawn, finer_than_known, strength_of
 from forearm_fem.rendering.job import check_servable, renderers
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show import Results
@@ -199,11 +199,14 @@ def test_the_interval_of_errors_that_tell_entries_apart_or_together_is_narrower_
     assert np.median(over) <= 5  # 2.8 seen; 4.8 for 135 S of finite elements on five slabs against the layered model
 
 
-def test_errors_of_pairs_are_raised_with_e_f_to_the_band_value():
+def test_errors_of_pairs_are_raised_with_e_f_to_the_band_value_and_fall_where_meshes_differ_much():
     pairs = np.array([[[0.01, 0.002]], [[0.05, 0.04]]])
-    raised = at_least_band(replace(MESH, per_pair=pairs), np.array([10.0, 500.0]))
-    assert raised.per_frequency == pytest.approx((0.03, 0.05))
-    assert raised.per_pair == pytest.approx(np.array([[[0.03, 0.006]], [[0.05, 0.04]]]))
+    alone = replace(MESH, per_pair=pairs)
+    for error, share in ((alone, 1.0), (replace(alone, together=1j * pairs), 1 / 1.12)):
+        drawn = as_drawn(error, np.array([10.0, 500.0]))
+        assert drawn.per_frequency == pytest.approx(share * np.array([0.03, 0.05]))
+        assert drawn.per_pair == pytest.approx(share * np.array([[[0.03, 0.006]], [[0.05, 0.04]]]))
+    assert drawn.together == pytest.approx(1j * pairs / 1.12)
 
 
 def test_the_interval_grows_with_the_error_and_hears_every_source():

@@ -89,7 +89,7 @@ class PairErrors:
 
 # Effect of an error of G on S.
 
-APART = 0.3  # of a pair's error by the mesh: what other pairs do not share
+APART = 0.15  # of a pair's error by the mesh: what other pairs do not share
 _WAVES = 64  # random cosines that make up one perturbation
 
 
@@ -98,9 +98,9 @@ def perturbed(
 ) -> TransferMatrix:
     """G plus one draw of its errors: complex noise per source, smooth over ``correlation`` [Hz].
 
-    Where a source tells what entries do ``together``, one factor of unit variance moves them all, and :data:`APART` of
-    a pair's error is its own. Noise of other sources is independent over entries, of the root mean square that they
-    state for each pair, or with e(f) of the largest of G as its largest entry.
+    Where a source tells what entries do ``together``, one complex factor of unit variance moves them all over the
+    band, and :data:`APART` of a pair's error is its own. Noise of other sources is independent over entries, of the
+    root mean square that they state for each pair, or with e(f) of the largest of G as its largest entry.
     """
     usable = np.isfinite(transfer.values) if transfer.valid is None else transfer.valid & np.isfinite(transfer.values)
     scale = np.max(np.abs(transfer.values), axis=(1, 2), where=usable, initial=0)
@@ -110,7 +110,7 @@ def perturbed(
         size = error_of_pairs(source, transfer.frequency)
         if source.together is not None:
             apart = 0.0 if size is None else APART
-            one = smooth_noise(transfer.frequency, (1, 1), rng, correlation) * np.sqrt(1 - apart**2)
+            one = complex(*rng.normal(size=2)) * np.sqrt((1 - apart**2) / 2)
             size = np.zeros(noise.shape) if size is None else apart * size
             change += scale[:, None, None] * one * between(source, source.together, transfer.frequency)
         if size is None:

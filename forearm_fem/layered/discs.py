@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Literal
 
@@ -147,8 +149,9 @@ class Galerkin:
 
     Truncation error: what the last axisymmetric term changes, times terms/2, as the rim's singularity may make
     convergence a power of -2. Of the other series, geometric ones: what their last terms change, times their fall over
-    the last two. Of azimuthal orders the sum of the geometric series that the changes by the last two begin, or that
-    falls as a bound on them says where that is less."""
+    the last two. Of azimuthal orders the sum of a geometric series that falls as distances and waves say
+    (:func:`decay_of`), or as the slower of the last two falls where that is less; it begins with the root mean square
+    of the last two changes, as one alone may vanish where a point lies."""
 
     table: HankelTable
     place: IntArray
@@ -186,7 +189,7 @@ class Galerkin:
         return (self.rings, 1.0), (self.moments, 1.5)
 
     def compliance(
-        self, a: ComplexArray, kinds: Sequence[BoolArray], judged: BoolArray
+        self, a: ComplexArray, kinds: Sequence[BoolArray], judged: BoolArray, decay: FloatArray
     ) -> tuple[ComplexArray, FloatArray]:
         """Ports' displacement per force (n_freq, ports, ports) [m/N] from A (n_freq, n, n), and its truncation error by
         the series (n_freq,) where ``judged`` (n_freq,).
@@ -197,7 +200,7 @@ class Galerkin:
         out, lacking = np.empty((len(a), n, n), dtype=complex), np.zeros(len(a))
         if judged.any():
             by_order = self.by_order(a[judged])[1]
-            out[judged], lacking[judged] = by_order[-1], self.lacking(a[judged], by_order, kinds)
+            out[judged], lacking[judged] = by_order[-1], self.lacking(a[judged], by_order, kinds, decay[judged])
         if not judged.all():
             out[~judged] = self._alone(_without_last(a[~judged], n))
         return out, lacking
@@ -224,8 +227,7 @@ class Galerkin:
         a: ComplexArray,
         by_order: Sequence[ComplexArray],
         kinds: Sequence[BoolArray],
-        *,
-        decay: FloatArray | float = 0.9,
+        decay: FloatArray,
     ) -> FloatArray:
         """Truncation error (n_freq,) of C, ``by_order`` of :meth:`by_order`, by the tractions that A leaves out.
 
@@ -247,9 +249,10 @@ class Galerkin:
         step = changed(whole, by_order[-2], kinds)
         if top == 1:
             return lacking + step
-        before = changed(by_order[-2], by_order[-3], kinds)
-        ratio = np.minimum(decay, step / np.maximum(before, 1e-300))
-        return np.asarray(lacking + step * ratio / (1 - ratio))
+        steps = [step, *(changed(by_order[-i], by_order[-i - 1], kinds) for i in range(2, min(top, 3) + 1))]
+        falls = [later / np.maximum(earlier, 1e-300) for later, earlier in pairwise(steps)]
+        decay = np.minimum(decay, np.max(falls, axis=0))
+        return np.asarray(lacking + np.hypot(step, decay * steps[1]) / np.sqrt(2) * decay / (1 - decay))
 
     def _without(self, a: ComplexArray, left_out: BoolArray) -> ComplexArray:
         """C from A without the tractions ``left_out`` (n,)."""
@@ -305,6 +308,20 @@ def changed(more: ComplexArray, less: ComplexArray, kinds: Sequence[BoolArray]) 
     """Largest change over the largest value, per frequency (n_freq,), of the kind of entries where that is most."""
     each = [np.abs(more - less)[:, kind].max(axis=1) / np.abs(more)[:, kind].max(axis=1) for kind in kinds]
     return np.asarray(np.max(each, axis=0))
+
+
+def decay_of(discs: Sequence[Disc], waves: FloatArray, orders: int) -> FloatArray:
+    """Ratio (n_freq,) by which what azimuthal orders above ``orders`` scatter falls, at wavenumbers ``waves`` [1/m].
+
+    A field from a distance d is about a disc of radius a a series in (a/d)^l, where waves are short in J_l(ka), whose
+    ratio is below ka/(2 l + 2).
+    """
+    ratio = np.zeros(len(waves))
+    for disc in (disc for disc in discs if disc.rigid):
+        away = (math.hypot(disc.x - b.x, disc.y - b.y) for b in discs if b is not disc and b.radius > 0)
+        nearest = disc.radius / min(away, default=math.inf)
+        ratio = np.maximum(ratio, np.maximum(nearest, disc.radius * waves / (2 * orders + 2)))
+    return np.minimum(ratio, 0.9)
 
 
 def galerkin(

@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 from ..errors import AccuracyWarning
 from ..progress import Progress, tell
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
-from .discs import UPRIGHT, Disc, Galerkin, changed, galerkin
+from .discs import UPRIGHT, Disc, Galerkin, changed, decay_of, galerkin
 from .integrals import LOW_LOSS, Integrals, Medium
 from .kernel import Base, Layer, Surface, check_layers
 from .tape import FEWER, Sheet, Tape
@@ -197,7 +197,7 @@ def layered_compliance(
     kinds = tuple(kind for each in system.kinds() if (kind := each & (asked | asked.T)).any()) or (asked | asked.T,)
     integrals = Integrals(medium, system.table, tolerance)
     tape = None if sheet is None else Tape(sheet, medium, system, tuple(discs))
-    evaluate = _Evaluation(integrals, system, kinds, (rows, columns), judged, expected, progress, tape)
+    evaluate = _Evaluation(integrals, system, discs, kinds, (rows, columns), judged, expected, progress, tape)
     sharp = bool(np.any(medium.loss(omega) < LOW_LOSS))  # poles near the axis: nothing smooth to follow
     found = (*evaluate(omega), np.zeros(omega.size)) if sharp else sampled(evaluate, omega, tolerance)
     values, errors, interpolation = found
@@ -226,6 +226,7 @@ class _Evaluation:
 
     integrals: Integrals
     system: Galerkin
+    discs: Sequence[Disc]
     kinds: tuple[BoolArray, ...]
     asked: tuple[IntArray, IntArray]
     every: int
@@ -246,7 +247,9 @@ class _Evaluation:
             a = self.system.matrix(block.values)
             if self.tape is not None:
                 a = self.tape.applied(a, omega[chunk])
-            found, errors[chunk, 1] = self.system.compliance(a, self.kinds, judged[chunk])
+            waves = self.integrals.medium.wavenumbers(omega[chunk])[0].max(axis=0)
+            decay = decay_of(self.discs, waves, int(self.system.order.max()))
+            found, errors[chunk, 1] = self.system.compliance(a, self.kinds, judged[chunk], decay)
             values[chunk], errors[chunk, 0] = found[:, rows][:, :, columns], block.error
             self.n_kernel += block.n_kernel
             self.n_frequency += chunk.size

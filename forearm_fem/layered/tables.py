@@ -12,7 +12,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from ..errors import GeometryError
 from ..progress import Progress, tell
 from ..typing import ComplexArray, FloatArray, IntArray
-from .discs import Disc, Galerkin, changed, galerkin
+from .discs import Disc, Galerkin, changed, decay_of, galerkin
 from .hankel import HankelTable
 from .integrals import Integrals, Medium
 from .kernel import Layer, Surface, check_layers
@@ -79,8 +79,9 @@ class Tabulated:
         shown, by_order = system.by_order(a)
         whole = system.free_compliance(shown) if free else by_order[-1]
         judged = np.unique([*range(0, self.omega.size, _FEW), self.omega.size - 1])
-        some, decay = [c[judged] for c in by_order], self._decay(kinds, self.omega[judged])
-        lacking = system.lacking(a[judged], some, system.kinds(), decay=decay)
+        some = [c[judged] for c in by_order]
+        decay = decay_of(kinds, self._medium.wavenumbers(self.omega[judged])[0].max(axis=0), self.orders)
+        lacking = system.lacking(a[judged], some, system.kinds(), decay)
         sampled, _ = chebyshev_between(self.low, self.high, omega, whole)
         n = system.ports
         tails = [chebyshev_between(self.low, self.high, omega, whole[:, :n, :n][:, kind])[1] for kind in system.kinds()]
@@ -123,17 +124,6 @@ class Tabulated:
     def orders(self) -> int:
         """Azimuthal orders taken."""
         return orders_of(self.contact)
-
-    def _decay(self, discs: Sequence[Disc], omega: FloatArray) -> FloatArray:
-        """Ratio (n_freq,) by which what azimuthal orders scatter falls at least, beyond the highest taken.
-
-        A field from a distance d is about a disc a series in (a/d)^l, or where waves are short in J_l(ka), whose ratio
-        is below ka/(2 l + 2). Two orders foretell nothing where they are as large as each other.
-        """
-        places = np.array([(disc.x, disc.y) for disc in discs if disc.radius > 0])
-        away = np.linalg.norm(places[:, None] - places[None], axis=2)[np.triu_indices(len(places), 1)]
-        waves = self.radius * self._medium.wavenumbers(omega)[0].max(axis=0) / (2 * self.orders + 2)
-        return np.asarray(np.clip(np.maximum(self.radius / away.min(initial=np.inf), waves), 0.0, 0.9))
 
     @property
     def _medium(self) -> Medium:

@@ -32,6 +32,7 @@ _CORRELATION = 50.0  # Hz: errors of meshes and ends are smooth over about that 
 # rms changes of log S: 9 of 10 true errors lie within for errors as they are stated, which is more than they are
 # (decision 0027); a measurement's random ones are as large as its deviation says
 _HALF_WIDTH, _OF_RANDOM = 1.5, 2.0
+_LOST = 4.0  # by how much the statement of two meshes outgrows their error, per e_band
 _RANDOM_ONLY = "the interval of S holds the random error of G (its deviation) alone: no systematic one is stated"
 _MOST_WITHOUT = 0.5  # of the values: with fewer deviations than that the random error is unknown
 _LEAST_SPAN = 4.0  # of the window: the record that draws are made on
@@ -230,18 +231,18 @@ def interval(
 
     S is taken over the ``span`` [s] of :attr:`.Rendering.window`.
 
-    Each draw adds to G independent complex noise of every source (:func:`perturbed`), smooth over 50 Hz, and
-    aims anew. It starts from the ``others`` in turn where there are such: G as it may be by an error that is not among
-    ``errors``, since its shape is known. Two meshes agree at single frequencies by chance, so e(f) of the
-    discretisation is its band value at least. Random errors of a measurement, of standard deviation ``random``
-    (n, n_out, n_in) in G's unit, are independent at each entry and frequency; they make S fall, and that mean fall is
-    added to two rms. Draws cancel at single targets by chance, so none gets less than the method's rms over all.
+    Each draw adds to G independent complex noise of every source (:func:`perturbed`), smooth over 50 Hz, that of the
+    mesh :func:`as_drawn`, and aims anew. It starts from the ``others`` in turn where there are such: G as it may be by
+    an error that is not among ``errors``, since its shape is known. Random errors of a measurement, of standard
+    deviation ``random`` (n, n_out, n_in) in G's unit, are independent at each entry and frequency; they make S fall,
+    and that mean fall is added to two rms. Draws cancel at single targets by chance, so none gets less than the
+    method's rms over all.
     """
     window: Window = span if span is not None else "record"
     # on every k-th bin, white noise would have k times its energy within the window
     whole = random is not None
     g, shape = (transfer, wavelet) if whole else _shorter(transfer, wavelet, span)
-    sources = tuple(at_least_band(e, g.frequency) if e.source == "discretisation" else e for e in errors)
+    sources = tuple(as_drawn(e, g.frequency) if e.source == "discretisation" else e for e in errors)
     methods = precomputed_for_targets(methods, on_record_bins(g, shape.record), targets)
     base = strengths(g, targets, methods, shape, window=window)
     rng = np.random.default_rng(_SEED)
@@ -260,14 +261,20 @@ def interval(
     return np.asarray(half if random is None else half + np.abs(fall))
 
 
-def at_least_band(error: ErrorEstimate, frequency: FloatArray) -> ErrorEstimate:
-    """The estimate with e(f) at ``frequency`` (n,) [Hz] raised to its band value, as two meshes agree by chance."""
-    own, pairs = relative_error_at(error, frequency), error_of_pairs(error, frequency)
+def as_drawn(error: ErrorEstimate, frequency: FloatArray) -> ErrorEstimate:
+    """The estimate by two meshes at ``frequency`` (n,) [Hz]: e(f) raised to its band value, as they agree by chance;
+    where it tells what entries do together, all of it over 1 + 4 e_band.
+
+    Where the two differ much, the coarser one carries no waves: what is stated is then 2.3 to 4.2 times the error.
+    """
+    share = 1.0 if error.together is None else 1 / (1 + _LOST * error.band)
+    own = relative_error_at(error, frequency)
     size = np.maximum(own, error.band)
+    pairs = error_of_pairs(error, frequency)
     if pairs is not None:
-        pairs = pairs * np.divide(size, own, out=np.ones_like(own), where=own > 0)[:, None, None]
-    together = None if error.together is None else between(error, error.together, frequency)
-    raised = tuple(frequency.tolist()), tuple(size.tolist())
+        pairs = share * pairs * np.divide(size, own, out=np.ones_like(own), where=own > 0)[:, None, None]
+    together = None if error.together is None else share * between(error, error.together, frequency)
+    raised = tuple(frequency.tolist()), tuple((share * size).tolist())
     return replace(error, frequency=raised[0], per_frequency=raised[1], per_pair=pairs, together=together)
 
 

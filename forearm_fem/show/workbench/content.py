@@ -31,7 +31,7 @@ from ...rendering import (
     on_record_bins,
     place_on_bins,
 )
-from ...rendering.interval import at_least_band
+from ...rendering.interval import as_drawn
 from ...rendering.job import least_error, wavelet
 from ...results.draws import DRAWS_FILE, DrawsFile
 from ...scenario import Scenario, parse_scenario
@@ -341,7 +341,7 @@ def _port(port: Port) -> dict[str, Any]:
 def _estimate(error: ErrorEstimate, frequency: FloatArray) -> dict[str, Any]:
     """An estimate, and e(f) at ``frequency`` as draws of G take it, of each pair where it tells pairs apart."""
     known = {"band": error.band, "worst": error.worst} if error.known else {"band": None, "worst": None}
-    drawn = at_least_band(error, frequency) if error.source == "discretisation" else error
+    drawn = as_drawn(error, frequency) if error.source == "discretisation" else error
     size, pairs = relative_error_at(drawn, frequency), error_of_pairs(drawn, frequency)
     of_pairs = None if pairs is None else packed(pairs, "f4")
     return {"source": error.source, **known, "method": error.method, "size": packed(size, "f8"), "pairs": of_pairs}
