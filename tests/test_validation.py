@@ -229,7 +229,7 @@ def test_observables_resume_and_other_questions_start_anew(
 ) -> None:
     found, folder = whole
     monkeypatch.setattr(module, "observables", lambda arm: pytest.fail("a finished draw was measured again"))
-    once = parse_scenario({**SMALL, "measurement": {"repeats": 1}})  # as the thesis measured
+    once = module.taped(parse_scenario({**SMALL, "measurement": {"repeats": 1}}), STILL)  # as the thesis measured
     rows = module._observed(Question(once, Path(), held=STILL), folder, 21, True, None)
     assert len(rows) == 21
     with pytest.raises(pytest.fail.Exception, match="measured again"):
