@@ -16,6 +16,8 @@ from ..results.files import Signals, Wavefield
 from ..typing import ComplexArray, FloatArray, IntArray
 from .data import Results, record_of
 
+__all__ = ["Motion", "View", "motion"]
+
 _STEEPEST = 0.35  # least n_z of a facet that still counts as volar
 
 
