@@ -53,10 +53,19 @@ def two(one: Device) -> Devices:
 def test_means_are_over_the_points_that_count_in_all(two: Devices) -> None:
     """9 at a point beside a motor is in no mean."""
     assert [two.mean(d) for d in two.devices] == pytest.approx([3.0, 2.0])
-    assert [d.name for d in two.ranked] == ["wide", "near"]  # 9 points in focus before 8
+    assert [d.name for d in two.ranked] == ["near", "wide"]  # both focus at the 8 points that count in both
     first, *others = answer_lines(two)
-    assert first == "wide is better than near on this arm: it focuses at 9 of 9 points, near at 8 of 9 points."
-    assert "Mean S over the 8 points that count in all (2, 3, 4, 5, 6, 7, 8, 9): 2.00 wide, 3.00 near." in others
+    assert first.startswith("near is better than wide")
+    assert first.endswith("; point 1 counts for wide alone.")
+    assert "Mean S over the 8 points that count in all (2, 3, 4, 5, 6, 7, 8, 9): 3.00 near, 2.00 wide." in others
+
+
+def test_more_points_in_focus_come_before_a_larger_mean(one: Device) -> None:
+    wide = with_s(one, "wide", [[2.0] * 9] * 3, [True] * 9)
+    near = with_s(one, "near", [[0.5, *[9.0] * 8]] * 3, [True] * 9)
+    found = Devices((near, wide), np.ones(9, dtype=bool))
+    assert [d.name for d in found.ranked] == ["wide", "near"]
+    assert "it focuses at 9 of the 9 points that count in both, not 8" in answer_lines(found)[0]
 
 
 def test_intervals_that_overlap_are_called_a_draw(one: Device) -> None:
@@ -132,7 +141,7 @@ def test_runs_are_told_from_two_g_of_one_device(folder: Path, tmp_path: Path) ->
 
 def test_the_page_shows_a_map_of_differences(two: Devices) -> None:
     page = devices_page(two)
-    assert "S of near (dotted) over S of wide" in page.html()
+    assert "S of wide (dotted) over S of near" in page.html()
     assert page.html().count("data:image/png") == 5  # a map each, and the differences by three methods
     other = devices_page(Devices(two.devices, None))  # other grids: nothing to subtract
     assert other.html().count("data:image/png") == 2

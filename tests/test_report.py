@@ -179,7 +179,7 @@ def test_a_point_that_counts_by_half_a_millimetre_says_so(folder: Path) -> None:
     results = Results.open(folder)
     data = strengths(results)
     said = just_counted(results, data)
-    assert said.startswith("Points 1, 3, 7, 9 count by 0.5 mm")
+    assert said.startswith("Points 1, 3, 7, 9 lie only 0.5 mm beyond the 9 mm")
     best = method_answers(data)[0].method
     edges = [results.transfer.outputs[k].name for k in (1, 3, 4, 5, 7)]
     mean = np.mean([r.S for r in results.strengths if r.method == best and r.target in edges])

@@ -143,9 +143,9 @@ def answer_of(results: Results, data: Strengths) -> list[str]:
     else:
         said.append(f"{capital(headline(data))}: every point lies under or beside a motor.")
     if best.open:
-        said.append(f"The numerics leave open whether S is above 1 at {_named(best.open)} ({best.method}).")
+        said.append(f"The numerics leave open whether S is above 1 at {named(best.open)} ({best.method}).")
     if best.unknown:
-        said.append(f"S of {best.method} is unknown at {_named(best.unknown)}.")
+        said.append(f"S of {best.method} is unknown at {named(best.unknown)}.")
     if left_out := not_counted(results, data):
         said.append(f"{capital(left_out)}.")
     if near := just_counted(results, data):
@@ -167,16 +167,18 @@ def just_counted(results: Results, data: Strengths) -> str:
     if not near.any():
         return ""
     low, high = (f"{1e3 * max(float(end), 0.0):.1f}" for end in (margin[near].min(), margin[near].max()))
-    names = _named([t for t, n in zip(data.targets, near, strict=True) if n])
+    names = named([t for t, n in zip(data.targets, near, strict=True) if n])
     best = method_answers(data)[0].method
     others = data.values[data.methods.index(best), data.counted & ~near]
-    verb, them = ("counts", "it") if near.sum() == 1 else ("count", "them")
+    verb, them = ("lies", "it") if near.sum() == 1 else ("lie", "them")
     mean = f"; without {them} mean S of {best} is {others.mean():.2f}" if len(others) else ""
-    by = low if low == high else f"{low} to {high}"
-    return f"{capital(names)} {verb} by {by} mm: a motor is near, which raises S{mean}."
+    by, least = low if low == high else f"{low} to {high}", 1e3 * results.scenario.rendering.clearance
+    return (f"{capital(names)} {verb} only {by} mm beyond the {least:g} mm from a motor at which points begin to "
+            f"count. A motor so near raises S{mean}.")  # fmt: skip
 
 
-def _named(points: Sequence[str]) -> str:
+def named(points: Sequence[str]) -> str:
+    """Points by their names, e.g. "points 1, 3"."""
     return f"point{'' if len(points) == 1 else 's'} {', '.join(points)}"
 
 

@@ -28,6 +28,7 @@ from .answer import (
     interval_words,
     just_counted,
     method_answers,
+    named,
     not_counted,
     subject_of,
     track_record,
@@ -75,14 +76,21 @@ class Devices:
 
     @property
     def ranked(self) -> tuple[Device, ...]:
-        """The better first: most points in focus (of other grids the largest share), then the largest mean S."""
+        """The better first: largest share of points in focus, then largest mean S, both over :meth:`judged` points."""
 
         def order(d: Device) -> tuple[float, float]:
             """Less is better."""
-            focused = float(len(d.best.focused))
-            return -(focused if self.shared is not None else focused / max(d.best.points, 1)), -self.mean(d)
+            values = d.data.values[d.data.methods.index(d.best.method), self.judged(d)]
+            return -float((values > 1).sum()) / max(len(values), 1), -self.mean(d)
 
         return tuple(sorted(self.devices, key=order))
+
+    def judged(self, device: Device) -> BoolArray:
+        """Points (n_target,) of ``device`` that count in all; its own that count where there are none or grids differ.
+
+        A point beside a motor of one device says nothing of the other.
+        """
+        return self.shared if self.shared is not None and self.shared.any() else device.data.counted
 
     def mean(self, device: Device) -> float:
         """Mean S of a device's best method over the shared points; over its own where the grids differ."""
@@ -166,27 +174,39 @@ def answer_lines(found: Devices) -> list[str]:
 
 
 def _verdict(found: Devices) -> str:
-    """Title: the better device and why, or a draw."""
+    """Title: the better device and why, or a draw; over the points that count in both."""
     first, second, *_ = found.ranked
-    reached = [f"{len(d.best.focused)} of {len(d.data.targets)} points" for d in (first, second)]
-    if found.shared is None:
-        return f"The grids differ: {first.name} focuses at {reached[0]}, {second.name} at {reached[1]}"
+    if found.shared is None or not found.shared.any():
+        reached = [f"{len(d.best.focused)} of {d.best.points} points" for d in (first, second)]
+        why = "The grids differ" if found.shared is None else "No point counts in both"
+        return f"{why}: {first.name} focuses at {reached[0]}, {second.name} at {reached[1]}"
     low, high = (_mean_interval(found, d) for d in (first, second))
-    why = f"it focuses at {reached[0]}, {second.name} at {reached[1]}"
-    if _focused(first)[0] > _focused(second)[1]:
-        pass
+    (focused, _), (_, at_most) = (_focused(found, d) for d in (first, second))
+    if focused > at_most:
+        why = f"it focuses at {focused} of the {int(found.shared.sum())} points that count in both, not {at_most}"
     elif low[0] > high[1]:
-        why += ", and its mean S is larger beyond the numerics' error"
+        why = "its mean S where both count is larger beyond the numerics' error"
     elif np.isfinite([*low, *high]).all():
-        return f"A draw between {first.name} and {second.name}, as far as the numerics tell"
+        return f"A draw between {first.name} and {second.name}, as far as the numerics tell{_alone(found)}"
     else:
         return f"Undecided between {first.name} and {second.name}: an interval of S is unknown"
-    return f"{first.name} is better than {second.name} on this arm: {why}"
+    flat = all(d.results.scenario.engine == "layered" for d in found.devices)
+    arm = "a flat arm without bones" if flat else "this arm"
+    return f"{first.name} is better than {second.name} on {arm}: {why}{_alone(found)}"
 
 
-def _focused(d: Device) -> tuple[int, int]:
-    """Points that count at which the best method's S is above 1, and at which the numerics leave that open, too."""
-    m, kept = d.data.methods.index(d.best.method), d.data.counted
+def _alone(found: Devices) -> str:
+    """Clauses on points that count for one of the best two alone; empty where there are none."""
+    said = ""
+    for d in found.ranked[:2]:
+        if points := [t for t, own, s in zip(d.data.targets, d.data.counted, found.judged(d), strict=True) if own > s]:
+            said += f"; {named(points)} count{'s' if len(points) == 1 else ''} for {d.name} alone"
+    return said
+
+
+def _focused(found: Devices, d: Device) -> tuple[int, int]:
+    """Judged points at which the best method's S is above 1, and at which the numerics leave that open, too."""
+    m, kept = d.data.methods.index(d.best.method), found.judged(d)
     return int((d.data.low[m, kept] > 1).sum()), int((~(d.data.high[m, kept] <= 1)).sum())
 
 

@@ -533,6 +533,7 @@ def fit_text(result: FitResult, notes: Sequence[str] = ()) -> str:
         "",
         f"reduced chi^2 {chi}; misfit {100 * result.e_band:.2g} % of the data's norm; {result.n_data} numbers.",
         f"misfit by actuator: {', '.join(f'{n} {100 * x:.2g} %' for n, x in result.left.items())}.",
+        "Intervals hold what noise leaves open, not what the model leaves out of an arm.",
     ]
     return "\n".join([*lines, *notes, *result.sentences]) + "\n"
 
