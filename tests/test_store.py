@@ -170,8 +170,10 @@ def test_a_damaged_part_or_shelf_was_never_there(tmp_path: Path, caplog: pytest.
     shelf.file.write_bytes(content[:at] + b"\xff" + content[at + 1 :])
     assert (shelf.get("a"), shelf.get("b")) == (None, {"n": 1})
     for damage in (b"", b"no database at all" * 99, content[: len(content) // 2]):
-        shelf.file.write_bytes(damage)
         again = Shelf(tmp_path / "s.sqlite", "a test")
+        shelf.file.write_bytes(damage)
+        assert again.known() == ()
+        shelf.file.write_bytes(damage)
         assert again.get("a") is None
         assert again.put("c", {"n": 2})
         assert again.get("c") == {"n": 2}

@@ -36,9 +36,10 @@ class Shelf:
 
     def known(self) -> tuple[str, ...]:
         """Keys of all parts, in the order in which they came; some may be damaged."""
-        asked = "select key from part where name = ? order by rowid"
+        asked, rows = "select key from part where name = ? order by rowid", []
         with self._reading() as base:
-            rows = base.execute(asked, (_PLAIN,)).fetchall() if base else []
+            if base:
+                rows = base.execute(asked, (_PLAIN,)).fetchall()
         return tuple(key for (key,) in rows)
 
     def get(self, key: str) -> dict[str, Any] | None:
