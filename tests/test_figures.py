@@ -295,6 +295,7 @@ def test_a_half_finished_folder_names_the_missing_stage(folder: Path, tmp_path: 
         make_figures(part, only=["figure-4"])
 
 
+@pytest.mark.slow
 def test_a_run_without_mesh_or_field_leaves_their_figures_out(folder: Path, tmp_path: Path) -> None:  # noqa: F811
     part = tmp_path / "part"
     part.mkdir()

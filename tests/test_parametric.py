@@ -92,6 +92,7 @@ def test_unseen_draws_are_as_right_as_stated(model):
         assert true < found.errors[0].band < 0.2
 
 
+@pytest.mark.slow
 def test_far_outside_its_ranges_the_error_is_still_stated(model):
     """Tissue forty times softer than any draw: beyond what the space can do, and said."""
     far = Ranges(moduli=1.0, laws=("zener",)).draws(softer(40.0), 2, seed=3)[1]
