@@ -224,6 +224,7 @@ def _stiffness(a: float, b: float, count: int, sector: Parity) -> tuple[FloatArr
     membrane, bending, mass, work = (np.zeros((at[-1], at[-1])) for _ in range(4))
 
     def block(i: int, j: int, x: str, y: str) -> FloatArray:
+        """Integrals between components i and j, by the orders of derivatives along x and y."""
         (p, q), (r, t) = sides[i], sides[j]
         return along[x][p[:, None], r] * across[y][q[:, None], t]
 
@@ -302,6 +303,7 @@ class Tape:
         weights = _fewer_under(*self._halves, self.count)
 
         def of(kernel: int, key: Key) -> ComplexArray:
+            """Integral of a kernel with the weights of ``key``."""
             if (kernel, key) not in known:  # along x in one sector is along y in another
                 each = weights[key]
                 found = product(kernels[kernel], each.reshape(len(each), -1))
@@ -309,6 +311,7 @@ class Tape:
             return known[kernel, key]
 
         def turned(m: ComplexArray) -> ComplexArray:
+            """Transpose at each frequency."""
             return m.swapaxes(1, 2)
 
         x, x2, y, y2, both, z, zx, zy = _keys(sector)
