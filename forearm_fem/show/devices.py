@@ -294,7 +294,8 @@ def ratios_block(found: Devices, a: Device, b: Device) -> Block:
                 text += f"; {100 * (arms.ratio[:, i, t] > 1).mean():.0f} % of arms above 1"
             cells.append(text)
         rows.append([target, *cells])
-    return Block(["point", *methods], rows, f"Above 1: {b.name} is better. In brackets the numerics' interval, where two decimals show it.")
+    note = f"Above 1: {b.name} is better. In brackets the numerics' interval, where two decimals show it."
+    return Block(["point", *methods], rows, note)
 
 
 def devices_block(found: Devices) -> Block:
