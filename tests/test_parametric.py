@@ -504,6 +504,23 @@ def test_what_geometry_changes_between_the_frequencies_asked_is_within_its_state
     assert np.isfinite(error).all()
 
 
+def test_beside_tape_a_contacts_radius_changes_points_by_its_own_factor(model):
+    """Layered arms in place of finite elements. Without tape a third is left at most; with tape a quarter up to 200 Hz,
+    and above, as it reaches to the cones' rims, more than the change, within the statement of twice as much."""
+    scene = parse_scenario({"device": {"cone": {"contact": "pressure"}}})
+    arm, layered = ReducedArm(scene, model, LayeredArm()), LayeredArm()
+    wide, some = scene.changed({"device.cone.radius": 1.2 * scene.device.cone.radius}), PROBES[1:4]
+    for on, most in ((lambda s: s, 0.4), (lambda s: taped(s, 1.5e-4, 7e8), 2.0)):
+        before, after = (layered.compliance(on(s), some) for s in (scene, wide))
+        change, _, seen = arm._change_beside_tape(on(wide), on(scene), before, before)
+        assert np.array_equal(change, seen)
+        true = np.nan_to_num(after.values - before.values)
+        off, size = (np.linalg.norm(x[:, 4:, :4], axis=(1, 2)) for x in (change - true, true))
+        assert (off < most * size).all()
+        assert (off[:2] < 0.4 * size[:2]).all()
+        assert np.allclose(change[:, :4, :4], true[:, :4, :4], rtol=0, atol=0.05 * np.abs(true[:, :4, :4]).max())
+
+
 def test_one_azimuthal_order_says_what_geometry_changes_within_its_statement(model):
     """Of rigid cones far apart, against five orders; what it leaves out is stated as a share of the change. A cone
     whose rim nearly reaches a point is asked with more orders. The arms' waves decay little: a springpot, a Zener."""
