@@ -49,7 +49,7 @@ _BETWEEN = 2  # times as much it may miss elsewhere: at single frequencies twice
 _OTHERS = 6  # answers as wrong as geometry may make one
 _SMOOTH = 50.0  # Hz over which what geometry misses is alike, as for other errors of S (decision 0027)
 _MISSED = 0.5  # of the change by geometry that the layered model may be wrong by
-_TAPED = 2.0  # the same of a contact's radius beside tape: 1.9 of it was seen at 500 Hz, .1 to .6 up to 250 Hz
+_TAPED = 2.0  # the same of a contact's radius beside tape: 1.9 of it was seen at 500 Hz, .1 to .4 at 180
 
 
 @dataclass(frozen=True, eq=False)
