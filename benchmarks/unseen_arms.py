@@ -57,7 +57,8 @@ def main() -> None:
         mine, true, said = found.values[some][block], values[block], found.errors[0]
         at = np.interp(every[some], said.frequency, said.per_frequency)
         print(
-            draw.tissues.override["skin"].law, [round(1e3 * part.thickness, 2) for part in getattr(draw.limb, "layers", ())],
+            draw.tissues.override["skin"].law,
+            [round(1e3 * part.thickness, 2) for part in getattr(draw.limb, "layers", ())],
             f"{band_error(mine, true):.3f} {said.band:.3f};", relative_error(mine, true).round(3), at.round(3),
             f"{answered - start:.2f} {time.process_time() - answered:.1f}", flush=True,
         )  # fmt: skip
