@@ -100,7 +100,7 @@ def started(command: tuple[str, ...], home: Path, cache: Path | None = None, mos
     where = {**os.environ, **threads, **caches}
     line = [sys.executable, "-u", "-m", "forearm_fem", *command]
     if most:
-        line = ["bash", "-c", f"ulimit -f {max(most // 1024, 1)}; exec \"$@\"", "bash", *line]
+        line = ["bash", "-c", f'ulimit -f {max(most // 1024, 1)}; exec "$@"', "bash", *line]
     with (home / "said").open("ab") as said:
         return subprocess.Popen(
             line, cwd=home, env=where, stdout=said, stderr=said, stdin=subprocess.DEVNULL, start_new_session=True
@@ -277,8 +277,7 @@ def full(name: str, folder: Path, *_: Any) -> list[str]:
 def together(name: str, folder: Path, *_: Any) -> list[str]:
     """What differs of two at once on one cache, and of one or two in one folder, from one alone."""
     whole, a, b, one = (prepared(folder / name / side, name) for side in ("whole", "a", "b", "one"))
-    for home in (whole, a, b, one):
-        if ended(name, whole) != 0:
+    if ended(name, whole) != 0:
         return [f"{name}: the whole run failed; see {whole / 'said'}"]
     cache = folder / name / "cache"
     codes = at_once(name, a, b, cache=cache)
