@@ -134,7 +134,7 @@ def at_once(name: str, *homes: Path, **how: Any) -> list[int]:
 
 
 def participant(process: subprocess.Popen[bytes], home: Path) -> bool:
-    """Answers trial after trial; ``given`` keeps what was taken. True once the task is done, False if it ends before."""
+    """Answers trial after trial, kept in ``given`` once taken; True once the task is done, False if it ends before."""
     said = home / "said"
     before = addresses = re.findall(pattern := r"participant:\s+(\S+)", said.read_text())
     while process.poll() is None and addresses == before:
