@@ -24,6 +24,7 @@ FINE, PLAIN = {"size_contact": 0.004, "size_far": 0.02}, {"size_contact": 0.005,
 NEAR = {**PLAIN, "size_contact": 0.004, "size_grid": 0.004}
 PITCH = {45: 0.0133, 35: 0.0105, 30: 0.009}
 QUICK = {"size_contact": 0.006, "size_grid": 0.005, "size_far": 0.03, "grading": 0.6}
+RIGID = {"size_contact": 0.004, "size_grid": 0.006, "size_far": 0.03, "element": "auto"}
 # name: layers, preset, spacing, side and depth [mm], band [Hz], mesh; the factor and the share apart came of the first
 SCENES: dict[str, tuple[Any, str, float, float, float, float, float, dict[str, Any]]] = {
     "thin": (THIN, "default", 45, 140, 40, 60, 250, FINE),
@@ -36,7 +37,16 @@ SCENES: dict[str, tuple[Any, str, float, float, float, float, float, dict[str, A
     "unseen: mid, 35 mm, 80-250 Hz": (MID, "default", 35, 110, 30, 80, 250, PLAIN),
     "unseen: lean, 100-250 Hz": (LEAN, "default", 45, 120, 30, 100, 250, PLAIN),
     "unseen: quick": (THIN, "default", 45, 150, 40, 50, 250, {**QUICK, "sublayers": {"skin": 1, "fat": 1}}),
+    "rigid: bonded, thin": (THIN, "default", 45, 120, 35, 60, 250, RIGID),
+    "rigid: bonded, mid, springpot, 35 mm": (MID, "springpot", 35, 110, 30, 80, 250, RIGID),
+    "rigid: frictionless, lean, 30 mm": (LEAN, "default", 30, 100, 30, 100, 300, RIGID),
+    "rigid: frictionless, zhang": ((), "zhang", 45, 120, 35, 60, 250, RIGID),
 }  # fmt: skip
+
+
+def contact_of(name: str) -> str:
+    """Contact of the cones of a scene."""
+    return next((c for c in ("bonded", "frictionless") if c in name), "pressure")
 
 
 def scene(name: str, engine: str) -> Any:
@@ -52,11 +62,11 @@ def scene(name: str, engine: str) -> Any:
                 "layers": [{"tissue": t, "thickness": h} for t, h in layers],
             },
             "tissues": {"preset": preset},
-            "device": {"spacing": 1e-3 * spacing, "cone": {"contact": "pressure"}},
+            "device": {"spacing": 1e-3 * spacing, "cone": {"contact": contact_of(name)}},
             "grid": {"pitch": PITCH[spacing]},
             "sweep": {"f_min": low, "f_max": high, "duration": 0.5},
             "rendering": {"wavelet": {"peak": (low * high) ** 0.5}},
-            "mesh": {**mesh, "element": "P2"},
+            "mesh": {"element": "P2", **mesh},
         }
     )  # fmt: skip
 

@@ -135,6 +135,14 @@ def test_interval_has_the_error_asked_for_at_every_frequency():
     assert np.allclose(change, np.interp(g.frequency, [10, 500], [0.01, 0.2]), rtol=1e-10)  # cancellation of G
 
 
+def test_an_actuator_that_moves_nothing_moves_nothing_in_any_draw():
+    g = small_transfer()
+    lifted = replace(g, values=g.values * [1, 0])
+    drawn = perturbed(lifted, [ErrorEstimate("truncation", 0.1, "test")], np.random.default_rng(0), 50.0).values
+    assert not drawn[:, :, 1].any()
+    assert np.all(drawn[:, :, 0] != g.values[:, :, 0])
+
+
 def test_draws_of_pairs_that_are_told_apart_are_as_large_as_each_pair_s_error():
     """In the root mean square: 400 draws of complex normal numbers know it to 1 / sqrt(400) / 2 = 2.5 %, four times."""
     g, rng = small_transfer(), np.random.default_rng(2)

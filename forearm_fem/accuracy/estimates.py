@@ -18,6 +18,7 @@ from ..transfer import (
     TransferMatrix,
     between,
     error_of_pairs,
+    percent,
     relative_error_at,
     total_error,
 )
@@ -47,7 +48,7 @@ def accuracy_verdict(scenario: Scenario, errors: tuple[ErrorEstimate, ...]) -> s
     if all(e.source == "measurement" for e in errors):
         return f"{asked}: UNKNOWN, as a measured G states its scatter ({100 * total:.2g} %) and no systematic error"
     met = "met" if total <= scenario.accuracy else "NOT met"
-    return f"{asked}, {100 * total:.2g} % estimated over all sources: {met}"
+    return f"{asked}, {percent(total)} estimated over all sources: {met}"
 
 
 def short_verdict(sentence: str) -> str:
@@ -100,7 +101,8 @@ def perturbed(
 
     Where a source tells what entries do ``together``, one complex factor of unit variance moves them all over the
     band, and :data:`APART` of a pair's error is its own. Noise of other sources is independent over entries, of the
-    root mean square that they state for each pair, or with e(f) of the largest of G as its largest entry.
+    root mean square that they state for each pair, or with e(f) of the largest of G as its largest entry. Zeros stay: an
+    actuator out of contact moves nothing in any draw.
     """
     usable = np.isfinite(transfer.values) if transfer.valid is None else transfer.valid & np.isfinite(transfer.values)
     scale = np.max(np.abs(transfer.values), axis=(1, 2), where=usable, initial=0)
@@ -117,7 +119,7 @@ def perturbed(
             noise /= np.abs(noise).max(axis=(1, 2), keepdims=True)
             size = relative_error_at(source, transfer.frequency)[:, None, None]
         change += scale[:, None, None] * size * noise
-    return replace(transfer, values=transfer.values + change)
+    return replace(transfer, values=np.where(transfer.values == 0, 0, transfer.values + change))
 
 
 def smooth_noise(

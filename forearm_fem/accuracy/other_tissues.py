@@ -65,7 +65,7 @@ def carried(estimate: ErrorEstimate, frequency: FloatArray, shorter: FloatArray,
     asked = frequency * shorter
     beyond = np.maximum(asked / estimate.frequency[-1], 1.0) ** _MESH
     below = np.maximum(estimate.frequency[0] / asked, 1.0) ** _ENDS
-    error = np.minimum(relative_error_at(estimate, asked) * beyond * below, 1.0)
+    error = relative_error_at(estimate, asked) * beyond * below
     pairs = error_of_pairs(estimate, asked)
     own = relative_error_at(estimate, frequency)
     grown = np.linalg.norm(size * error) / np.linalg.norm(size * own) if own.any() else 1.0
