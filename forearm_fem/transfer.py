@@ -125,7 +125,7 @@ def percent(share: float) -> str:
     """E.g. ``2.1 %``, ``below 0.01 %``, ``unknown``."""
     if not np.isfinite(share):
         return "unknown"
-    return "below 0.01 %" if share < 1e-4 else f"{100 * share:.2g} %"
+    return "below 0.01 %" if share < 1e-4 else f"{100 * share:.2g} %" if share < 1 else f"{100 * share:.0f} %"
 
 
 def size_words(size: float, form: str = ".1e") -> str:

@@ -101,8 +101,8 @@ def perturbed(
 
     Where a source tells what entries do ``together``, one complex factor of unit variance moves them all over the
     band, and :data:`APART` of a pair's error is its own. Noise of other sources is independent over entries, of the
-    root mean square that they state for each pair, or with e(f) of the largest of G as its largest entry. Zeros stay: an
-    actuator out of contact moves nothing in any draw.
+    root mean square that they state for each pair, or with e(f) of the largest of G as its largest entry. Zeros
+    stay: an actuator out of contact moves nothing in any draw.
     """
     usable = np.isfinite(transfer.values) if transfer.valid is None else transfer.valid & np.isfinite(transfer.values)
     scale = np.max(np.abs(transfer.values), axis=(1, 2), where=usable, initial=0)
