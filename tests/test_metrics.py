@@ -135,12 +135,14 @@ def test_interval_has_the_error_asked_for_at_every_frequency():
     assert np.allclose(change, np.interp(g.frequency, [10, 500], [0.01, 0.2]), rtol=1e-10)  # cancellation of G
 
 
-def test_an_actuator_that_moves_nothing_moves_nothing_in_any_draw():
+@pytest.mark.parametrize("share", [0.0, 0.01j])
+def test_an_actuator_that_moves_what_another_moves_does_so_in_every_draw(share):
+    """One out of contact, with the housing held or not."""
     g = small_transfer()
-    lifted = replace(g, values=g.values * [1, 0])
+    lifted = replace(g, values=g.values[:, :, :1] * [1, share])
     drawn = perturbed(lifted, [ErrorEstimate("truncation", 0.1, "test")], np.random.default_rng(0), 50.0).values
-    assert not drawn[:, :, 1].any()
-    assert np.all(drawn[:, :, 0] != g.values[:, :, 0])
+    assert np.abs(drawn[:, :, 1] - share * drawn[:, :, 0]).max() < 1e-12
+    assert np.all(np.abs(drawn[:, :, 0] - g.values[:, :, 0]) > 1e-6)
 
 
 def test_draws_of_pairs_that_are_told_apart_are_as_large_as_each_pair_s_error():
