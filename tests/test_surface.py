@@ -77,9 +77,9 @@ def test_whatever_shows_g_or_s_tells_its_error_or_that_it_is_unknown(simulation:
                     (scatter, "scatter 2.1 %, systematic error unknown")):  # fmt: skip
         assert f"; {said}>" in repr(g)
         assert said in g._repr_html_()
-        assert said in run_compare(bare, g, render=False).text
         known = [e.band for e in g.errors]
         np.testing.assert_equal(g.to_xarray().attrs["error"], known[0] if len(known) == 1 else np.nan)
+    assert "Of itself A states: error unknown; B: error 2.1 %." in run_compare(bare, cut, render=False).text
     nothing = np.full(s.value.shape, np.nan)
     for shown, said in ((s, "either way at most"), (replace(s, low=nothing, high=nothing), "interval unknown")):
         assert said in repr(shown)
