@@ -154,11 +154,11 @@ def drawn(rows: list[dict[str, Any]]) -> Figure:
     axes = figure.subplots(2, 2, sharex="col", sharey="row")
     for version, colour in zip(dict.fromkeys(r["version"] for r in rows), ("#0072b2", "#d55e00"), strict=True):
         mine = [r for r in rows if r["version"] == version]
-        for line, key in zip(axes, ("seconds", "peak_gb"), strict=True):
+        for line, key in zip(axes, ("processor_seconds", "peak_gb"), strict=True):
             for ax, error in zip(line, ("stated", "true"), strict=True):
                 at, size = ([float(r[k]) for r in mine] for k in (error, key))
                 ax.plot(at, size, "o-", color=colour, label=version)
-    for line, label in zip(axes, ("whole run [s]", "peak memory [GB]"), strict=True):
+    for line, label in zip(axes, ("whole run, processor [s]", "peak memory [GB]"), strict=True):
         line[0].set(ylabel=label, ylim=(0, None))
     for ax, error in zip(axes[1], ("stated", "true"), strict=True):
         ax.set(xlabel=f"{error} e_band of G", xscale="log")
