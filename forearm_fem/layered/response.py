@@ -109,7 +109,8 @@ def _interpolated(x: FloatArray, nodes: FloatArray, values: ComplexArray, errors
 _TERMS = (6, 24)  # of the axisymmetric tractions under a rigid disc, least and most
 _SCATTERED = 1e-5  # what the azimuthal orders above those taken may still scatter, by the distances of the discs
 _ORDERS = (2, 6)  # of them, least and most
-_JUDGED, _SLOWEST = 5, 0.7  # frequencies where a sheet's polynomials are; largest ratio of what they leave out
+_JUDGED, _SLOWEST = 7, 0.7  # frequencies where a sheet's polynomials are; largest ratio of what they leave out
+_SLOW = 2.3  # sum of a series of that ratio
 
 
 @dataclass(frozen=True)
@@ -196,7 +197,7 @@ def layered_compliance(
     asked[np.ix_(rows, columns)] = True
     kinds = tuple(kind for each in system.kinds() if (kind := each & (asked | asked.T)).any()) or (asked | asked.T,)
     integrals = Integrals(medium, system.table, tolerance)
-    tape = None if sheet is None else Tape(sheet, medium, system, tuple(discs))
+    tape = None if sheet is None else Tape.of(sheet, medium, system, tuple(discs), omega)
     evaluate = _Evaluation(integrals, system, discs, kinds, (rows, columns), judged, expected, progress, tape)
     sharp = bool(np.any(medium.loss(omega) < LOW_LOSS))  # poles near the axis: nothing smooth to follow
     found = (*evaluate(omega), np.zeros(omega.size)) if sharp else sampled(evaluate, omega, tolerance)
