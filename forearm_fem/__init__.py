@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from .errors import ForearmError as ForearmError
     from .laws import Law as Law
     from .rendering import Rendering as Rendering
-    from .rendering.drives import Aim as Aim
-    from .rendering.drives import Renderer as Renderer
     from .rendering.interval import Strength as Strength
     from .rendering.job import RenderJob as RenderJob
+    from .rendering.renderers import Aim as Aim
+    from .rendering.renderers import Renderer as Renderer
     from .scenario import Scenario as Scenario
     from .scenario import load_scenario as load_scenario
     from .transfer import Compliance as Compliance
@@ -44,7 +44,7 @@ _HOMES = {
     **dict.fromkeys(("calibrate", "compare", "design", "fit", "predict", "read", "render"), "api"),
     **dict.fromkeys(("Simulation", "simulate"), "engines.simulation"),
     **dict.fromkeys(("ArmLibrary", "load_library"), "engines.library"),
-    **dict.fromkeys(("Aim", "Renderer"), "rendering.drives"),
+    **dict.fromkeys(("Aim", "Renderer"), "rendering.renderers"),
     **dict.fromkeys(("Scenario", "load_scenario"), "scenario"),
     **dict.fromkeys(("Compliance", "ErrorEstimate", "TransferMatrix"), "transfer"),
     "ForearmError": "errors",

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import FigureBase
 
-    from .rendering.interval import Strength
-    from .rendering.rendered import Rendering
+    from .rendering.interval import Rendering, Strength
     from .transfer import Compliance, TransferMatrix
 
 

@@ -31,7 +31,7 @@ from forearm_fem.geometry.user.surfaces import read_surfaces
 from forearm_fem.geometry.user.triangles import read_triangles
 from forearm_fem.measurement.calibrate import record
 from forearm_fem.processes import _guarded
-from forearm_fem.rendering.bridging import filled_in
+from forearm_fem.rendering.signals import filled_in
 from forearm_fem.scenario import load_scenario, parse_scenario
 from forearm_fem.store.text import text_of
 

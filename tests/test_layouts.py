@@ -11,10 +11,9 @@ import pytest
 
 from forearm_fem.engines.simulation import render, simulate
 from forearm_fem.errors import GeometryError, ScenarioError
-from forearm_fem.ports import Port, positions
+from forearm_fem.ports import Port, is_thesis_grid, positions
 from forearm_fem.questions.run import Run, run_render
 from forearm_fem.rendering import funneling_weights
-from forearm_fem.rendering.funneling import is_thesis_grid
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show import make_figures
 from forearm_fem.show.data import Results

@@ -29,8 +29,8 @@ from forearm_fem.rendering import (
     ricker,
     strengths,
 )
+from forearm_fem.rendering.drives import precomputed_for_targets
 from forearm_fem.rendering.job import RenderJob
-from forearm_fem.rendering.rendered import precomputed_for_targets
 from forearm_fem.transfer import TransferMatrix
 
 BAND = np.arange(20, 1001) * 0.5  # the 981 bins of the thesis' record between 10 and 500 Hz

@@ -26,7 +26,7 @@ from forearm_fem.rendering import (
     render_all,
     ricker,
 )
-from forearm_fem.rendering.inverse_filter import Regularisation
+from forearm_fem.rendering.renderers import Regularisation
 from forearm_fem.scenario import parse_scenario
 
 

@@ -10,7 +10,7 @@ from test_rendering import waves
 
 from forearm_fem.errors import ScenarioError
 from forearm_fem.rendering import Combination, Funneling, InverseFilter, Regularisation, drives, ricker
-from forearm_fem.rendering.inverse_filter import decomposed, least_squares
+from forearm_fem.rendering.renderers import decomposed, least_squares
 
 
 @pytest.fixture(scope="module")

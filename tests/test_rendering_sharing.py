@@ -25,7 +25,7 @@ from forearm_fem.rendering import (
     render_all,
     ricker,
 )
-from forearm_fem.rendering.funneling import known_bins
+from forearm_fem.rendering.renderers import known_bins
 
 COARSE = np.arange(10.0, 500.1, 10.0)  # the bins of a record of 0.1 s
 TARGETS = tuple("123456789")

@@ -18,7 +18,7 @@ from test_figures_scene import folder  # noqa: F401
 
 from forearm_fem.errors import DataError
 from forearm_fem.ports import Port
-from forearm_fem.rendering.drives import CLEARANCE, counted_points, limits_of, not_counted_words
+from forearm_fem.rendering.limits import CLEARANCE, counted_points, limits_of, not_counted_words
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.rendering import RickerWavelet
 from forearm_fem.show import Results, kinds

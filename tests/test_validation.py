@@ -338,6 +338,8 @@ def test_scenes_that_cannot_be_judged_are_one_sentence(tmp_path: Path) -> None:
         validate(Question(parse_scenario({"engine": "mine:Engine"}), Path()), tmp_path, draws=60)
     answer = cli("validate", "thesis", "--measured", "nowhere.nc", "--out", tmp_path / "o", cwd=tmp_path)
     assert "no such file" in answer.sentence
+    answer = cli("validate", "thesis", "--hold", "taps", "--out", tmp_path / "o", cwd=tmp_path)
+    assert "no input or group is called 'taps'" in answer.sentence
     nine = parse_scenario({**SMALL, "grid": {"rows": 1, "columns": 9, "pitch": 0.004}})
     with pytest.raises(ScenarioError, match="which is of 3 x 3 points"):  # their names are 1 to 9, too
         validate(Question(nine, Path()), tmp_path, draws=21)

@@ -32,6 +32,13 @@ from .common import (
 
 # predict, validate: what S people will see, and how that compares with what was measured.
 
+Held = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--hold", help="keep the scenario's value of an input or group, e.g. tissue, placement, tape, 'arm motion'"
+    ),
+]
+
 
 def predict(
     scenario: ScenarioFile,
@@ -45,10 +52,7 @@ def predict(
         list[str] | None,
         typer.Option(help="draw this tissue law only (repeatable): kelvin-voigt, zener, springpot, or module:Name"),
     ] = None,
-    hold: Annotated[
-        list[str] | None,
-        typer.Option(help="keep the scenario's value of an input or group, e.g. tissue, placement, 'arm motion'"),
-    ] = None,
+    hold: Held = None,
     layered: Annotated[
         bool, typer.Option("--layered/--own", help="arms on the layered model, or by the scene's own engine")
     ] = False,
@@ -82,6 +86,7 @@ def validate(
     out: OutFolder = None,
     draws: Annotated[int, typer.Option(min=60, max=100_000, help="arms drawn; 60 leave about 20 for each law")] = 300,
     seed: Annotated[int, typer.Option(min=0, help="of the draws")] = 0,
+    hold: Held = None,
     resume: Resume = True,
     workers: Workers = None,
     scheduler: Scheduler = None,
@@ -101,9 +106,9 @@ def validate(
         from ..show.validation import failures, validation_page
 
         found = run(
-            Question(asked, scenario.parent, seed), folder, draws=draws, resume=resume, workers=workers,
-            scheduler=scheduler, measured=measured_g(measured, asked, declare, "--measured"), measured_name=name,
-            progress=display,
+            Question(asked, scenario.parent, seed, held=tuple(hold or ())), folder, draws=draws, resume=resume,
+            workers=workers, scheduler=scheduler, measured=measured_g(measured, asked, declare, "--measured"),
+            measured_name=name, progress=display,
         )  # fmt: skip
     page = validation_page(found, asked.name)
     written, _ = page.save(folder, "validation")

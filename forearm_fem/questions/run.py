@@ -25,13 +25,12 @@ from ..geometry.device.place import check_places
 from ..geometry.mesh.files import write_mesh
 from ..geometry.mesh.quality import mesh_quality
 from ..geometry.mesh.tissue_mesh import TissueMesh
-from ..ports import positions
+from ..ports import is_thesis_grid, positions
 from ..progress import Progress, tell, within
 from ..rendering import Rendering
-from ..rendering.drives import counted_points
-from ..rendering.funneling import is_thesis_grid
 from ..rendering.interval import Strength, finer_than_known
 from ..rendering.job import RenderJob, check_servable, wavelet
+from ..rendering.limits import counted_points
 from ..results.files import (
     Wavefield,
     read_transfer,

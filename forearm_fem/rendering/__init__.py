@@ -8,38 +8,32 @@
     everything = render_all(transfer)
 """
 
-from .bridging import Bridged, bridged
-from .drives import (
+from .drives import Displacements, Drives, displacements, drives, strengths, thesis_renderers
+from .interval import Rendered, Rendering
+from .job import from_samples_file, render_all
+from .limits import DriveReport, Limits, beyond_limits, check
+from .renderers import (
     Aim,
-    Displacements,
-    DriveReport,
-    Drives,
-    Limits,
-    Renderer,
-    beyond_limits,
-    check,
-    displacements,
-    drives,
-)
-from .funneling import Funneling, funneling_weights
-from .inverse_filter import (
     AutoZeros,
     Combination,
     FixedZeros,
+    Funneling,
     InverseFilter,
     Inversion,
     Regularisation,
-    SearchedZeros,
+    Renderer,
     ThesisZeros,
+    funneling_weights,
 )
-from .rendered import Rendered, Rendering, render_all, strengths, thesis_renderers
+from .search import SearchedZeros
 from .signals import (
     BinnedTransfer,
     BinValues,
+    Bridged,
     Record,
     Wavelet,
     Window,
-    from_samples_file,
+    bridged,
     on_record_bins,
     place_on_bins,
     respond,

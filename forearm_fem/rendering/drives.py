@@ -1,45 +1,30 @@
-"""Drives: what goes to the amplifiers, their limits, and the displacements that follow."""
+"""Drives towards targets, the displacements that follow, and S alone for studies over many G."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from ..errors import ScenarioError
-from ..ports import Port, distances
-from ..scenario.device import Device, VoltageDevice
+from ..metrics.strength import plain_strength
+from ..ports import Port
 from ..transfer import TransferMatrix
-from ..typing import BoolArray, ComplexArray, FloatArray
-from .signals import BinnedTransfer, Record, Wavelet, on_record_bins, respond, to_time
-
-if TYPE_CHECKING:
-    from .inverse_filter import Inversion
-
-
-@dataclass(frozen=True, eq=False)
-class Aim:
-    """A renderer's answer: ``spectrum`` (n_bins, n_in) [unit/Hz], the bins it ``used`` (n_bins,) and how."""
-
-    spectrum: ComplexArray
-    used: BoolArray
-    zeros: tuple[str, ...] = ()
-    inversion: Inversion | None = None
-
-
-class Renderer(Protocol):
-    """Turns G, a target and a wavelet into drive spectra; options live in its constructor."""
-
-    @property
-    def name(self) -> str:
-        """Name under which results are filed."""
-
-    def aim(self, placed: BinnedTransfer, target: str, wavelet: ComplexArray) -> Aim:
-        """Drive spectra towards output ``target`` for the wavelet's spectrum (n_bins,) [1/Hz] on the same bins."""
+from ..typing import ComplexArray, FloatArray
+from .renderers import Combination, FixedZeros, Funneling, InverseFilter, Inversion, Renderer, control_of
+from .signals import (
+    BinnedTransfer,
+    Record,
+    Wavelet,
+    Window,
+    on_record_bins,
+    respond,
+    to_time,
+    window_of,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,155 +162,122 @@ def _unanswered(placed: BinnedTransfer, spectrum: ComplexArray, outside: float) 
     return np.asarray((energy.sum(axis=1) @ missing + max(outside, 0.0)) / total)
 
 
-# Limits of drives, and points that do not count because a motor stands beside them.
-
-# Clearance of points from motors: near a rim a point moves with the motor, and S there is no focus.
-
-CLEARANCE = 9e-3
-"""Least distance [m] of a counted point from a rim: the corners of the thesis' device lie 9.5 mm off theirs."""
-_SLACK = 1e-9  # m: rounding of places
+def thesis_renderers() -> tuple[Renderer, ...]:
+    """Inverse filter, funneling and combination with their defaults (de Vlam 2022, III.B)."""
+    return (InverseFilter(), Funneling(), Combination())
 
 
-def rim_gaps(outputs: Sequence[Port], inputs: Sequence[Port]) -> FloatArray:
-    """Distance (n_out,) [m] of each output from the nearest rim, negative under a cone; NaN where places are unknown.
-
-    ``inputs`` are the contacts that touch the skin; inf where there are none.
-    """
-    if not inputs:
-        return np.full(len(outputs), np.inf)
-    gaps = distances(tuple(outputs), tuple(inputs)) - np.array([p.radius for p in inputs])
-    return np.asarray(np.where(np.isnan(gaps).any(axis=1), np.nan, gaps.min(axis=1)))
-
-
-def counted_points(outputs: Sequence[Port], inputs: Sequence[Port], clearance: float = CLEARANCE) -> BoolArray:
-    """True where S towards each output (n_out,) counts: none under a cone or within ``clearance`` [m] of a rim does.
-
-    Points whose places are unknown count.
-    """
-    return ~(rim_gaps(outputs, inputs) < clearance - _SLACK)
+def as_targets(targets: Sequence[str] | None, transfer: TransferMatrix) -> tuple[str, ...]:
+    """Names of outputs, by default all; one that is an output's is itself, not its letters: "12"."""
+    known = tuple(p.name for p in transfer.outputs)
+    if targets is None:
+        return known
+    if isinstance(targets, str):
+        return (targets,) if targets in known else tuple(targets)
+    if not isinstance(targets, list | tuple) or not all(isinstance(t, str) for t in targets):
+        raise ScenarioError(f"targets: expected names of outputs such as ['5'], got {str(targets)[:60]!r}")
+    return tuple(targets)
 
 
-def not_counted_words(
-    names: Sequence[str], outputs: Sequence[Port], inputs: Sequence[Port], clearance: float = CLEARANCE
-) -> str:
-    """E.g. ``points 4 and 6 are not counted: under a motor``, of those of ``outputs`` in ``names``; else empty."""
-    gaps = dict(zip((p.name for p in outputs), rim_gaps(outputs, inputs), strict=True))
-    under = [n for n in names if gaps[n] <= 0]
-    near = [n for n in names if 0 < gaps[n] < clearance - _SLACK]
-    told = [(under, "under a motor"), (near, f"within {1e3 * clearance:g} mm of a motor's rim")]
-    parts = [f"{_listed(group)} not counted: {why}" for group, why in told if group]
-    return "; ".join(parts)
-
-
-def _listed(names: Sequence[str]) -> str:
-    if len(names) == 1:
-        return f"point {names[0]} is"
-    return f"points {', '.join(names[:-1])} and {names[-1]} are"
-
-
-# Limits of an actuator.
-
-_ILL = 10.0  # times a limit: no amplitude is that far off
-_DAMPED = "rendering.regularisation = 'tikhonov' with regularisation_value = 0.05"  # 'auto' damps no thesis' device
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Per actuator: peak ``voltage`` [V] and mean ``power`` [W] in the coil's ``resistance`` [ohm].
-
-    The power is V^2 / resistance averaged over ``window`` [s], the loudest one of the record, or over the
-    whole record if None. Back-EMF and inductance are ignored: both lower the current, so the power is an
-    upper bound. Defaults: TEAX14C02-8, 0.8 W (a continuous rating) and 7.8 ohm; 2.5 V rms gives 0.8 W. ScenarioError
-    for one that is not positive.
-    """
-
-    voltage: float = 2.5
-    power: float = 0.8
-    resistance: float = 7.8
-    window: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("voltage", "power", "resistance", "window"):
-            value = getattr(self, name)
-            if not (name == "window" and value is None) and not 0 < value < np.inf:
-                raise ScenarioError(f"an actuator's limits: expected a positive {name}, got {value}")
-
-
-def limits_of(device: Device) -> Limits | None:
-    """Limits of a device's actuators; None where a unit drive is no voltage."""
-    if not isinstance(device, VoltageDevice):
-        return None
-    return Limits(device.max_voltage, device.max_power, device.coil.resistance)
-
-
-@dataclass(frozen=True, eq=False)
-class DriveReport:
-    """``peak`` and ``rms`` (n_in,) in the drive's unit, ``power`` (n_in,) [W], NaN for drives that are no voltages.
-
-    ``exceeded`` has a sentence per limit exceeded; ``checked`` is False for drives that are no voltages.
-    """
-
-    peak: FloatArray
-    rms: FloatArray
-    power: FloatArray
-    exceeded: tuple[str, ...]
-    checked: bool
-
-
-def check(drives: Drives, limits: Limits | None = None) -> DriveReport:
-    """Peak, rms and power of each actuator against ``limits``; raises ScenarioError for a bad averaging window."""
-    limits = limits or Limits()
-    squares = drives.signals**2
-    peak, loudest = np.abs(drives.signals).max(axis=1), np.mean(squares, axis=1)
-    rms = np.sqrt(loudest)
-    if drives.unit != "V":
-        return DriveReport(peak, rms, np.full(len(peak), np.nan), (), False)
-    if limits.window is not None:
-        samples = round(limits.window * drives.record.sample_rate)
-        if not 1 <= samples <= drives.record.n:
-            raise ScenarioError(f"the power's window of {limits.window:g} s must hold 1 to {drives.record.n} samples")
-        loudest = np.maximum(uniform_filter1d(squares, samples, axis=1, mode="wrap"), 0).max(axis=1)
-    power = loudest / limits.resistance
-    over = [
-        f"{p.name}: {v:.3g} V peak, limit {limits.voltage:g} V"
-        for p, v in zip(drives.inputs, peak, strict=True)
-        if v > limits.voltage
-    ]
-    over += [
-        f"{p.name}: {w:.3g} W in {limits.resistance:g} ohm, limit {limits.power:g} W"
-        for p, w in zip(drives.inputs, power, strict=True)
-        if w > limits.power
-    ]
-    return DriveReport(peak, rms, power, tuple(over), True)
-
-
-def beyond_limits(
-    methods: Sequence[str],
-    targets: Sequence[str],
-    channels: Sequence[str],
-    peak: FloatArray,
-    power: FloatArray,
-    limits: Limits,
-) -> tuple[str, ...]:
-    """A sentence per method and limit exceeded by ``peak`` [V] or ``power`` [W] (n_method, n_target, n_channel).
-
-    The remedy is `rendering.amplitude`, in which everything is linear; an inverse filter beyond 10 times a limit is
-    badly conditioned, and is told so.
-    """
-    found = []
-    for m, method in enumerate(methods):
-        both = (peak[m], limits.voltage, "V", "peak"), (power[m], limits.power, "W", "power")
-        for values, most, unit, what in both:
-            t, k = divmod(int(np.argmax(values)), values.shape[1])
-            excess = float(values[t, k] / most)
-            if excess <= 1:
-                continue
-            share = 1 / (excess if what == "peak" else np.sqrt(excess))
-            remedy = f"rendering.amplitude times {np.floor(100 * share) / 100 or share:.2g} is within, and S stays"
-            if excess > _ILL and method != "funneling":
-                remedy += f", or {_DAMPED} damps what G hardly knows"
-            found.append(
-                f"{method}: {np.count_nonzero(values > most)} of {values.size} drives exceed {most:g} {unit} {what}, "
-                f"most of all {values[t, k]:.3g} {unit} at {channels[k]} towards {targets[t]}; {remedy}"
-            )
+def as_renderers(methods: Sequence[Renderer] | Renderer | None) -> tuple[Renderer, ...]:
+    """A list of renderers from one or several, by default the thesis' three."""
+    if methods is None:
+        return thesis_renderers()
+    found = methods if isinstance(methods, list | tuple) else (methods,)
+    if strange := [m for m in found if not hasattr(m, "aim")]:
+        raise ScenarioError(
+            f"methods: expected renderers such as Funneling(), got {strange[0]!r}; of a scenario: render(SIMULATION)"
+        )
     return tuple(found)
+
+
+def strengths(
+    transfer: TransferMatrix,
+    targets: Sequence[str],
+    methods: Sequence[Renderer],
+    wavelet: Wavelet,
+    *,
+    window: Window = "wavelet",
+) -> FloatArray:
+    """S (n_method, n_target) only, keeping no signals: for studies over many G.
+
+    Holes are not bridged. Raises as :func:`render_all`.
+    """
+    names, renderers = as_targets(targets, transfer), as_renderers(methods)
+    found = played_strengths(transfer, (transfer,), names, renderers, wavelet, (window_of(window, wavelet),))
+    return np.asarray(found[0, 0])
+
+
+def played_strengths(
+    design_on: TransferMatrix,
+    play_on: Sequence[TransferMatrix],
+    targets: Sequence[str],
+    methods: Sequence[Renderer],
+    wavelet: Wavelet,
+    spans: Sequence[tuple[float, float] | None],
+) -> FloatArray:
+    """S (n_span, n_play, n_method, n_target) of drives aimed by ``design_on``, as played on each of ``play_on``.
+
+    S is taken over each of the ``spans`` [s], None: the whole record. Keeps no signals and bridges no holes.
+    """
+    placed, methods = prepared(on_record_bins(design_on, wavelet.record), methods, targets)
+    played = [placed if g is design_on else on_record_bins(g, wavelet.record) for g in play_on]
+    out = np.empty((len(spans), len(played), len(methods), len(targets)))
+    for m, method in enumerate(methods):
+        for t, target in enumerate(targets):
+            sent = drives(method, placed, target, wavelet)
+            for p, where in enumerate(played):
+                moved, row = displacements(where, sent), where.row(target)
+                for s, span in enumerate(spans):
+                    out[s, p, m, t] = plain_strength(moved.values, row, time=moved.time, window=span)
+    return out
+
+
+# Precomputation shared by several aims: by places for any G of theirs, by G for all its targets.
+
+@runtime_checkable
+class Settling(Renderer, Protocol):
+    """A renderer that can say beforehand what it takes from places."""
+
+    def precomputed_for_targets(self, placed: BinnedTransfer, targets: Sequence[str]) -> Self:
+        """The same renderer with all that follows from where ports are found for ``targets``."""
+
+
+def prepared(
+    placed: BinnedTransfer, methods: Iterable[Renderer], targets: Sequence[str]
+) -> tuple[BinnedTransfer, tuple[Renderer, ...]]:
+    """G and renderers with all that aims at ``targets`` share: :func:`precomputed_for_targets`, then
+    :func:`with_controls`."""
+    found = precomputed_for_targets(methods, placed, targets)
+    return with_controls(placed, found, targets), found
+
+
+def precomputed_for_targets(
+    methods: Iterable[Renderer], placed: BinnedTransfer, targets: Sequence[str]
+) -> tuple[Renderer, ...]:
+    """The same renderers with zero points and shares of funneling found for ``targets``, so that draws of G find them
+    there; for any G with the ports of ``placed`` whose inputs are known as there.
+
+    Zero points that are searched stay a search. Raises as :meth:`.Renderer.aim` for ports that a renderer cannot serve.
+    """
+    return tuple(m.precomputed_for_targets(placed, targets) if isinstance(m, Settling) else m for m in methods)
+
+
+def with_controls(placed: BinnedTransfer, methods: Iterable[Renderer], targets: Sequence[str]) -> BinnedTransfer:
+    """The same G with each set of control points by which precomputed_for_targets ``methods`` aim at ``targets``
+    decomposed once.
+
+    Corners of the thesis' grid have the control points of its middle, and where all other points are held still every
+    target has the same. Drives are the same to the last bit. Raises as :func:`.control_of`.
+    """
+    sets = dict.fromkeys(
+        frozenset((target, *zeros)) for m in methods for target in targets if (zeros := _zeros(m, target)) is not None
+    )
+    controls = (control_of(placed, names) for names in sets)
+    return replace(placed, controls={c.rows: c for c in controls})
+
+
+def _zeros(method: Renderer, target: str) -> tuple[str, ...] | None:
+    """Zero points that are known before the renderer aims."""
+    zeros = getattr(method, "zeros", None)
+    return zeros.by_target.get(target) if isinstance(zeros, FixedZeros) else zeros if isinstance(zeros, tuple) else None

@@ -1,9 +1,10 @@
-"""Interval of each S of a run: numerical, by the thesis' reading, and by missing edges and holes."""
+"""Results of renderers: drives and displacements by method and target, and S with its interval."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,19 +13,138 @@ import numpy as np
 from .. import notebook
 from ..errors import DataError
 from ..metrics import perturbed
-from ..metrics.strength import plain_strength, without_bound
+from ..metrics.strength import StrengthTable, plain_strength, signal_strength_table, without_bound
+from ..ports import is_thesis_grid
 from ..store.text import plain
 from ..transfer import ErrorEstimate, TransferMatrix, between, error_of_pairs, relative_error_at, total_error
 from ..typing import BoolArray, FloatArray
-from .bridging import with_wider_ends
-from .drives import Renderer
-from .inverse_filter import FixedZeros, SearchedZeros
-from .rendered import Rendering, precomputed_for_targets, strengths
-from .signals import Wavelet, Window, on_record_bins
+from .drives import Displacements, Drives, precomputed_for_targets, strengths
+from .limits import DriveReport, Limits, beyond_limits, counted_points
+from .renderers import FixedZeros, Renderer
+from .search import SearchedZeros
+from .signals import (
+    Bridged,
+    Wavelet,
+    Window,
+    known_of,
+    on_record_bins,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import FigureBase
+
+
+@dataclass(frozen=True, eq=False)
+class Rendered:
+    """One method at one target: drives, displacements, S [-] (eq. 9), and the drives against the limits."""
+
+    drives: Drives
+    displacements: Displacements
+    strength: float
+    report: DriveReport
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Rendering(Mapping[tuple[str, str], Rendered]):
+    """Results by (method, target), e.g. ``rendering["funneling", "5"]``.
+
+    ``window`` [s] is what S was taken over, None for the whole record; ``bridged`` is the G that was used.
+    """
+
+    methods: tuple[str, ...]
+    targets: tuple[str, ...]
+    results: Mapping[tuple[str, str], Rendered]
+    window: tuple[float, float] | None
+    bridged: Bridged
+    limits: Limits
+    renderers: tuple[Renderer, ...] = ()
+    wavelet: Wavelet | None = None
+
+    def __repr__(self) -> str:
+        return f"<Rendering of {', '.join(self.methods)} at {len(self.targets)} targets>"
+
+    def _repr_html_(self) -> str:
+        return self.strength._repr_html_()
+
+    @cached_property
+    def strength(self) -> Strength:
+        """S with its interval; DataError for drives that were played on another G than they were designed on."""
+        from .interval import strength_of
+
+        if self.wavelet is None:
+            raise DataError("drives were played on another G than their own, so there is no interval of S")
+        g = self.bridged.transfer
+        measured = any(e.source == "measurement" for e in g.errors) or g.deviation is not None
+        return strength_of(self, self.renderers, self.wavelet, measured)
+
+    def sel(self, method: str, target: str) -> Rendered:
+        """Drives and displacements of a method at a target; DataError for other names."""
+        m = notebook.place(self.methods, method, "method")
+        t = notebook.place(self.targets, target, "target")
+        return self.results[self.methods[m], self.targets[t]]
+
+    def to_xarray(self) -> xr.Dataset:
+        """Drives and displacements by method, target, channel and time."""
+        return notebook.xarray_of_rendering(self)
+
+    def plot(self) -> FigureBase:
+        """S by target with its interval."""
+        return self.strength.plot()
+
+    def save(self, path: str | Path) -> None:
+        """Write drives and displacements as netCDF."""
+        self.to_xarray().to_netcdf(path, engine="h5netcdf")
+
+    def __getitem__(self, key: tuple[str, str]) -> Rendered:
+        if key not in self.results:
+            methods, targets = (", ".join(map(repr, names)) for names in (self.methods, self.targets))
+            raise KeyError(f"{key}: methods are {methods}, targets {targets}")
+        return self.results[key]
+
+    def __iter__(self) -> Iterator[tuple[str, str]]:
+        return iter(self.results)
+
+    def __len__(self) -> int:
+        return len(self.results)
+
+    @property
+    def strengths(self) -> FloatArray:
+        """S (n_method, n_target) [-]."""
+        return np.array([[self.results[m, t].strength for t in self.targets] for m in self.methods])
+
+    @property
+    def counted(self) -> BoolArray:
+        """True where a target (n_target,) is in means of S: none under or within the default clearance of a motor
+        is."""
+        g = self.bridged.transfer
+        by_name = {p.name: p for p in g.outputs}
+        return counted_points([by_name[t] for t in self.targets], g.inputs)
+
+    @property
+    def exceeded(self) -> tuple[str, ...]:
+        """A sentence per method and limit exceeded: how often, the worst case, and the remedy."""
+        first = next(iter(self.values()), None)
+        if first is None or not first.report.checked:
+            return ()
+        peak, power = (
+            np.array([[getattr(self[m, t].report, what) for t in self.targets] for m in self.methods])
+            for what in ("peak", "power")
+        )
+        channels = tuple(p.name for p in first.drives.inputs)
+        return beyond_limits(self.methods, self.targets, channels, peak, power, self.limits)
+
+    def table(self) -> StrengthTable:
+        """S of points that count in the layout of the thesis' Table I.
+
+        DataError for any other grid than 3 x 3 points "1" to "9" and for no targets or methods.
+        """
+        first = next(iter(self.results.values()), None)
+        if first is None:
+            raise DataError("nothing was rendered, so there is no Table I: give targets and methods")
+        if not is_thesis_grid(first.displacements.outputs):
+            raise DataError("Table I (middle, edges, corners) is for the thesis' 3 x 3 grid only; see strengths")
+        return signal_strength_table(self.methods, self.targets, self.strengths, self.counted)
 
 _DRAWS, _SEED = 12, 0
 _MARGIN = 2.0  # the ends that are missing may count for more than their neighbours
@@ -180,6 +300,17 @@ def _cost_of_ends(strength: Callable[[TransferMatrix], FloatArray], g: TransferM
         return _MARGIN * _pooled(strength(with_wider_ends(g)) - value, value)
     except DataError:  # no bin is left on which all control points are known
         return np.full(value.shape, np.nan)
+
+
+def with_wider_ends(transfer: TransferMatrix) -> TransferMatrix:
+    """G without as many values again as each entry misses at either end of its band, half of the known ones at most:
+    what that does to S tells what the missing ones may do."""
+    known = known_of(transfer)
+    first, last = known.argmax(axis=0), len(known) - 1 - known[::-1].argmax(axis=0)
+    room = (last - first + 1) // 4
+    start, stop = first + np.minimum(first, room), last - np.minimum(len(known) - 1 - last, room)
+    row = np.arange(len(known))[:, None, None]
+    return replace(transfer, valid=known & (row >= start) & (row <= stop))
 
 
 def _pooled(change: FloatArray, value: FloatArray) -> FloatArray:

@@ -1,21 +1,23 @@
-"""One rendering job: methods, wavelet, window, limits and targets set up once from a scenario."""
+"""One rendering job: methods, wavelet, window, limits and targets of a scenario, played on any G."""
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Self
 
 import numpy as np
+from scipy.io import wavfile
 
 from ..errors import AccuracyWarning, DataError, GeometryError, ScenarioError
 from ..geometry.device.layout import planform_ports
-from ..ports import Port
-from ..progress import Progress
+from ..metrics.strength import plain_strength, without_bound
+from ..ports import Port, lattice_of
+from ..progress import Progress, tell
 from ..scenario import Scenario, load_scenario, parse_scenario
 from ..scenario.load import read_overrides
 from ..scenario.rendering import RenderingOptions, SampledWavelet
@@ -23,22 +25,31 @@ from ..scenario.sweep import Sweep, frequencies
 from ..transfer import UNITS, TransferMatrix
 from ..typing import FloatArray
 from ..usercode import is_code, named
-from .bridging import bridged
-from .drives import Limits, Renderer, limits_of
-from .funneling import Funneling, funneling_weights, lattice_of
-from .inverse_filter import (
+from .drives import as_renderers, as_targets, displacements, drives, played_strengths, prepared
+from .interval import Rendered, Rendering
+from .limits import Limits, check, limits_of
+from .renderers import (
     LEAST_ERROR,
     AutoZeros,
     Combination,
+    Funneling,
     InverseFilter,
     Regularisation,
-    SearchedZeros,
+    Renderer,
     ThesisZeros,
+    funneling_weights,
 )
-from .rendered import Rendering, played_strengths, render_all
-from .signals import Record, Wavelet, Window, from_samples_file, on_record_bins, place_on_bins, ricker, window_of
-
-# RenderJob: renderers, wavelet, targets, window and limits of a scenario, set up once and played on any G.
+from .search import SearchedZeros
+from .signals import (
+    Record,
+    Wavelet,
+    Window,
+    bridged,
+    on_record_bins,
+    place_on_bins,
+    ricker,
+    window_of,
+)
 
 MICROMETRE = 1e-6
 _PER_PEAK = 16.0  # samples per period of the wavelet's peak frequency
@@ -364,3 +375,148 @@ def _thesis_with_places_of(g: TransferMatrix) -> Scenario:
 def _places(ports: Sequence[Port], centre: np.ndarray) -> list[list[float]]:
     """Places of ``ports`` relative to ``centre``, in metres to the nanometre."""
     return [[round(float(v), 9) for v in np.array(p.position[:2]) - centre] for p in ports]
+
+_MUCH_LOST = 0.1
+
+
+def render_all(
+    transfer: TransferMatrix,
+    targets: Sequence[str] | None = None,
+    methods: Sequence[Renderer] | Renderer | None = None,
+    wavelet: Wavelet | None = None,
+    limits: Limits | None = None,
+    *,
+    window: Window = "wavelet",
+    play_on: TransferMatrix | None = None,
+    progress: Progress | None = None,
+) -> Rendering:
+    """Every renderer of ``methods`` at every target: drives, displacements, S and the drives' report.
+
+    ``targets`` are names of outputs (None: all), ``methods`` renderers (None: the thesis' three), ``wavelet`` the 250
+    Hz Ricker unless given. S is taken over ``window``: seconds (start, end), "wavelet" (its own window), or "record",
+    the thesis' sum over the whole record, which grows with it. Holes in G are :func:`bridged` first.
+
+    Drives are played on ``play_on`` where it is given: what a device calibrated on ``transfer`` reaches on another G.
+    ``progress`` is called after each. One name or one renderer is taken for a list of it. Warns (AccuracyWarning) when
+    more than 10 % of the wavelet's energy falls on bins where G is unknown, where nothing is known of an actuator,
+    which is then left out, and where an S is made of rounding. Raises ScenarioError for two methods of one name or a
+    target given twice, and as :func:`drives`.
+    """
+    targets = as_targets(targets, transfer)
+    methods = as_renderers(methods)
+    wavelet = wavelet or ricker()
+    names = tuple(m.name for m in methods)
+    for what, given in (("method", names), ("target", targets)):
+        if len(set(given)) != len(given):
+            raise ScenarioError(f"a {what} is given twice: {', '.join(given)}; give each its own name")
+    seconds, holes = window_of(window, wavelet), bridged(transfer)
+    placed = prepared(on_record_bins(holes.transfer, wavelet.record), methods, targets)[0]
+    played = placed if play_on is None else on_record_bins(bridged(play_on).transfer, wavelet.record)
+    results: dict[tuple[str, str], Rendered] = {}
+    for method in methods:
+        for target in targets:
+            sent = drives(method, placed, target, wavelet)
+            reached = displacements(played, sent)
+            strength = plain_strength(reached.values, reached.target_index, time=reached.time, window=seconds)
+            results[method.name, target] = Rendered(sent, reached, strength, check(sent, limits or Limits()))
+            tell(progress, "render", len(results), len(methods) * len(targets))
+    worst = max(results.values(), key=lambda r: r.drives.lost, default=None)
+    if worst is not None and worst.drives.lost > _MUCH_LOST:
+        warnings.warn(
+            f"G is unknown on bins with {worst.drives.lost:.0%} of the wavelet's energy "
+            f"({worst.drives.method} towards {worst.drives.target}): they are not driven",
+            AccuracyWarning,
+            stacklevel=2,
+        )
+    if results and holes.absent:
+        warnings.warn(holes.said_of_absent, AccuracyWarning, stacklevel=2)
+    own = (tuple(methods), wavelet) if play_on is None else ((), None)
+    found = Rendering(names, targets, results, seconds, holes, limits or Limits(), *own)
+    if results and (endless := without_bound(names, targets, found.strengths)):
+        warnings.warn(endless, AccuracyWarning, stacklevel=2)
+    return found
+
+
+def from_samples_file(
+    path: str | Path, sample_rate: float = 10000.0, duration: float = 2.0, *, normalise: bool = True
+) -> Wavelet:
+    """A wavelet from the samples in a CSV (one column, or time and value), WAV (one channel) or NPY (1-D) file.
+
+    The samples are set into a record of ``duration`` [s] at ``sample_rate`` [Hz] (returned ``samples`` (n_t,)
+    [-]) with their largest |value| at t = 0, and divided by it unless ``normalise`` is False. Raises
+    DataError if the file cannot be read, is not finite, is all zero, is longer than the record or has another
+    rate: nothing is resampled.
+    """
+    path = Path(path)
+    samples, rate = _read(path)
+    record = Record.of(sample_rate, duration)
+    if rate is not None and abs(rate / sample_rate - 1) > 1e-3:
+        raise DataError(f"{path.name} is sampled at {rate:g} Hz, expected {sample_rate:g} Hz; resample it first")
+    if samples.ndim != 1 or samples.size < 2:
+        raise DataError(f"{path.name}: expected one row of at least 2 samples, got an array of shape {samples.shape}")
+    if not np.all(np.isfinite(samples)):
+        raise DataError(f"{path.name}: {np.count_nonzero(~np.isfinite(samples))} samples are not finite")
+    if not np.any(samples):
+        raise DataError(f"{path.name}: all {samples.size} samples are zero")
+    if samples.size > record.n:
+        raise DataError(f"{path.name}: {samples.size} samples do not fit into the record of {record.n}")
+    peak = int(np.argmax(np.abs(samples)))
+    placed = np.zeros(record.n)
+    placed[: samples.size] = samples
+    placed = np.roll(placed, record.centre - peak)
+    return Wavelet(placed / abs(samples[peak]) if normalise else placed, record, path.name)
+
+
+def _read(path: Path) -> tuple[FloatArray, float | None]:
+    readers: dict[str, Callable[[Path], tuple[FloatArray, float | None]]] = {
+        ".csv": _read_csv,
+        ".txt": _read_csv,
+        ".wav": _read_wav,
+        ".npy": _read_npy,
+    }
+    if path.suffix.lower() not in readers:
+        raise DataError(f"{path}: expected a wavelet's file that ends in {', '.join(readers)}")
+    if not path.is_file():
+        raise DataError(f"{path}: no such file")
+    try:
+        return readers[path.suffix.lower()](path)
+    except (ValueError, OSError, EOFError) as error:
+        raise DataError(f"{path.name} cannot be read as {path.suffix[1:].upper()}: {error}") from error
+
+
+def _read_csv(path: Path) -> tuple[FloatArray, float | None]:
+    lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip() and line[0] != "#"]
+    try:
+        float(lines[0].split(",")[0])
+    except (ValueError, IndexError):  # names of the columns, or nothing
+        lines = lines[1:]
+    if not lines:
+        raise ValueError("it holds no numbers")
+    table = np.array([[float(cell) for cell in line.split(",")] for line in lines])
+    if table.shape[1] == 1:
+        return table[:, 0], None
+    if table.shape[1] != 2:
+        raise ValueError(f"expected 1 or 2 columns, got {table.shape[1]}")
+    steps = np.diff(table[:, 0])
+    if steps.size == 0 or steps.min() <= 0 or np.ptp(steps) > 1e-3 * steps.mean():
+        raise ValueError("its first column is not an evenly increasing time")
+    return table[:, 1], float(1 / steps.mean())
+
+
+def _read_wav(path: Path) -> tuple[FloatArray, float | None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", wavfile.WavFileWarning)  # scipy only warns of files that are cut short
+        warnings.filterwarnings("ignore", message="Chunk .*not understood")
+        try:
+            rate, samples = wavfile.read(path)
+        except wavfile.WavFileWarning as problem:
+            raise ValueError(str(problem)) from None
+    silence = 128.0 if samples.dtype == np.uint8 else 0.0  # 8 bits have no sign
+    return np.asarray(samples, dtype=float) - silence, float(rate)
+
+
+def _read_npy(path: Path) -> tuple[FloatArray, float | None]:
+    array = np.load(path, allow_pickle=False)
+    if not np.issubdtype(array.dtype, np.floating) and not np.issubdtype(array.dtype, np.integer):
+        raise ValueError(f"expected real numbers, got {array.dtype}")
+    return np.asarray(array, dtype=float), None

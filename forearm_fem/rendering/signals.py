@@ -1,25 +1,26 @@
-"""Signals of a periodic record: wavelet, one-sided spectra, and G on the record's bins."""
+"""Signals of a periodic record: wavelet, one-sided spectra, G on the record's bins, and bins missing from it."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from pathlib import Path
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
 from scipy.fft import irfft, rfft
-from scipy.io import wavfile
+from scipy.interpolate import CubicSpline
 
 from ..errors import DataError, ScenarioError
 from ..metrics.strength import seconds_of
 from ..ports import Port
-from ..transfer import TransferMatrix, relative_error_at
+from ..transfer import ErrorEstimate, TransferMatrix, relative_error_at
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
-from .bridging import filled_in
+
+if TYPE_CHECKING:
+    from .renderers import Control
 
 # From a transfer matrix on its own frequencies to the bins of a periodic record, and back to time.
 # A record of n samples at f_s has bins k f_s / n. Spectra are one-sided and in unit/Hz: X_k = dt sum_j x_j
@@ -71,9 +72,6 @@ class Record:
         if self.n % 2 == 0:
             weights[-1] = 1
         return weights
-
-if TYPE_CHECKING:
-    from .inverse_filter import Control
 
 
 def to_spectrum(signals: FloatArray, record: Record) -> ComplexArray:
@@ -329,87 +327,314 @@ def ricker(
     s = record.time * np.sqrt(2) * np.pi * peak_hz
     return Wavelet(amplitude * (1 - s**2) * np.exp(-(s**2) / 2), record, f"Ricker {peak_hz:g} Hz")
 
+# Filling bins between samples of G, and refusing to where the samples are too far apart.
 
-def from_samples_file(
-    path: str | Path, sample_rate: float = 10000.0, duration: float = 2.0, *, normalise: bool = True
-) -> Wavelet:
-    """A wavelet from the samples in a CSV (one column, or time and value), WAV (one channel) or NPY (1-D) file.
+_ON_BIN = 1e-3  # of the bin spacing: further off, a sample is not on its bin
+_PRINTED, _FARTHEST = 6, 0.05  # digits that programs print of a frequency; of the bin spacing, what these may be off
+_EVEN = 0.01  # of the spacing: how far it may differ from bin to bin
+_NOISE, _ALIKE = 0.1, 2.5  # of the values' size, noise; how much larger misses at twice the spacing are, at most
+_GAP, _TOLERANCE = 3.0, 0.01  # times both neighbours, an interval that is a gap; e(f) of a spline, at most
+_SHORTEST = 8  # samples: fewer leave no way to judge a spline
 
-    The samples are set into a record of ``duration`` [s] at ``sample_rate`` [Hz] (returned ``samples`` (n_t,)
-    [-]) with their largest |value| at t = 0, and divided by it unless ``normalise`` is False. Raises
-    DataError if the file cannot be read, is not finite, is all zero, is longer than the record or has another
-    rate: nothing is resampled.
+
+def filled_in(
+    place: FloatArray,
+    values: ComplexArray,
+    valid: BoolArray,
+    index: IntArray,
+    df: float,
+) -> tuple[ComplexArray, BoolArray]:
+    """Values and mask (n_index, m) on bins ``index`` from samples (n, m) at ``place`` [bins], ``df`` [Hz] apart.
+
+    Samples on a bin are copied; the others serve a cubic spline per unbroken run of valid samples. An interval 3 times
+    wider than both its neighbours is a gap: nothing is filled there. Raises DataError where the spline's estimated
+    error, max |dG| / max |G| at one frequency, exceeds 1 %.
     """
-    path = Path(path)
-    samples, rate = _read(path)
-    record = Record.of(sample_rate, duration)
-    if rate is not None and abs(rate / sample_rate - 1) > 1e-3:
-        raise DataError(f"{path.name} is sampled at {rate:g} Hz, expected {sample_rate:g} Hz; resample it first")
-    if samples.ndim != 1 or samples.size < 2:
-        raise DataError(f"{path.name}: expected one row of at least 2 samples, got an array of shape {samples.shape}")
-    if not np.all(np.isfinite(samples)):
-        raise DataError(f"{path.name}: {np.count_nonzero(~np.isfinite(samples))} samples are not finite")
-    if not np.any(samples):
-        raise DataError(f"{path.name}: all {samples.size} samples are zero")
-    if samples.size > record.n:
-        raise DataError(f"{path.name}: {samples.size} samples do not fit into the record of {record.n}")
-    peak = int(np.argmax(np.abs(samples)))
-    placed = np.zeros(record.n)
-    placed[: samples.size] = samples
-    placed = np.roll(placed, record.centre - peak)
-    return Wavelet(placed / abs(samples[peak]) if normalise else placed, record, path.name)
+    shape = (len(index), values.shape[1])
+    out, on = np.zeros(shape, dtype=complex), np.zeros(shape, dtype=bool)
+    nearest = np.rint(place).astype(int)
+    slack = np.clip(_slack(place * df) / df, _ON_BIN, _FARTHEST)
+    rows = np.nonzero((np.abs(place - nearest) < slack) & np.isin(nearest, index))[0]
+    copied = nearest[rows] - index[0]
+    open_bins = np.delete(index, copied)
+    if len(open_bins):
+        for columns, run in _runs(place, valid):
+            inside = open_bins[(open_bins > place[run[0]]) & (open_bins < place[run[-1]])]
+            if len(inside):
+                known, target = values[np.ix_(run, columns)], np.ix_(inside - index[0], columns)
+                _judge(place[run], known, inside, df)
+                out[target], on[target] = CubicSpline(place[run], known)(inside), True
+    out[copied], on[copied] = values[rows], valid[rows]
+    return out, on
 
 
-def _read(path: Path) -> tuple[FloatArray, float | None]:
-    readers: dict[str, Callable[[Path], tuple[FloatArray, float | None]]] = {
-        ".csv": _read_csv,
-        ".txt": _read_csv,
-        ".wav": _read_wav,
-        ".npy": _read_npy,
-    }
-    if path.suffix.lower() not in readers:
-        raise DataError(f"{path}: expected a wavelet's file that ends in {', '.join(readers)}")
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
-    try:
-        return readers[path.suffix.lower()](path)
-    except (ValueError, OSError, EOFError) as error:
-        raise DataError(f"{path.name} cannot be read as {path.suffix[1:].upper()}: {error}") from error
+def _slack(frequency: FloatArray) -> FloatArray:
+    """Tolerance [Hz] of samples at ``frequency`` (n,) [Hz] beside their bins: what six printed digits leave off."""
+    digit = 10.0 ** (np.floor(np.log10(np.maximum(frequency, 1e-300))) - (_PRINTED - 1))
+    return np.asarray(0.51 * digit)
 
 
-def _read_csv(path: Path) -> tuple[FloatArray, float | None]:
-    lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip() and line[0] != "#"]
-    try:
-        float(lines[0].split(",")[0])
-    except (ValueError, IndexError):  # names of the columns, or nothing
-        lines = lines[1:]
-    if not lines:
-        raise ValueError("it holds no numbers")
-    table = np.array([[float(cell) for cell in line.split(",")] for line in lines])
-    if table.shape[1] == 1:
-        return table[:, 0], None
-    if table.shape[1] != 2:
-        raise ValueError(f"expected 1 or 2 columns, got {table.shape[1]}")
-    steps = np.diff(table[:, 0])
-    if steps.size == 0 or steps.min() <= 0 or np.ptp(steps) > 1e-3 * steps.mean():
-        raise ValueError("its first column is not an evenly increasing time")
-    return table[:, 1], float(1 / steps.mean())
+def _runs(place: FloatArray, valid: BoolArray) -> list[tuple[IntArray, IntArray]]:
+    """Entries (columns) with the same mask, with each of their runs of valid samples that is long enough."""
+    step = np.diff(place)
+    padded = np.concatenate([[0.0], step, [0.0]])
+    wide = step > _GAP * np.maximum(padded[:-2], padded[2:])
+    patterns, group = np.unique(valid, axis=1, return_inverse=True)
+    runs: list[tuple[IntArray, IntArray]] = []
+    for g, pattern in enumerate(patterns.T):
+        broken = wide | ~pattern[1:] | ~pattern[:-1]
+        columns = np.nonzero(np.ravel(group) == g)[0]
+        pieces = np.split(np.arange(len(place)), np.nonzero(broken)[0] + 1)
+        runs.extend((columns, run) for run in pieces if len(run) >= _SHORTEST)
+    return runs
 
 
-def _read_wav(path: Path) -> tuple[FloatArray, float | None]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", wavfile.WavFileWarning)  # scipy only warns of files that are cut short
-        warnings.filterwarnings("ignore", message="Chunk .*not understood")
+def _judge(place: FloatArray, values: ComplexArray, bins: IntArray, df: float) -> None:
+    """Raise if a spline through every other sample misses the rest by more than 8 times the tolerance.
+
+    Halving the spacing of a cubic spline divides its error by up to 16; we count on 8. Only samples next
+    to an interval to be filled are asked.
+    """
+    odd = np.arange(1, len(place) - 1, 2)
+    used = np.isin(np.arange(len(place) - 1), np.searchsorted(place, bins) - 1)
+    odd = odd[used[odd] | used[odd - 1]]
+    if len(odd) == 0:
+        return
+    miss = CubicSpline(place[::2], values[::2])(place[odd]) - values[odd]
+    size = np.maximum(np.abs(values[odd]).max(axis=1), np.finfo(float).tiny)
+    error = np.abs(miss).max(axis=1) / size / 8
+    worst = int(np.argmax(error))
+    if error[worst] > _TOLERANCE and not _noisy(place, values, odd, miss):
+        at = odd[worst]
+        step = float(np.median(np.diff(place))) * df
+        even = bool(np.abs(np.diff(place) * df / step - 1).max() < _EVEN)
+        record = f"a record whose bins lie on them, sweep.duration = {1 / step:.6g}," if even else "even frequencies"
+        raise DataError(
+            f"samples of G near {place[at] * df:.4g} Hz are {(place[at + 1] - place[at]) * df:.3g} Hz apart: "
+            f"interpolating them would err by about {error[worst]:.1%}, allowed {_TOLERANCE:.1%}; give {record} or G "
+            "on more frequencies (time.length of a recipe)"
+        )
+
+
+def _noisy(place: FloatArray, values: ComplexArray, odd: IntArray, miss: ComplexArray) -> bool:
+    """True if ``miss`` (n, m) of every other sample is noise: no course between samples, but what they scatter by.
+
+    Noise is as large whatever samples are left out, while a spline of twice the spacing errs by up to 16 times as much
+    in what it follows. It is small beside the values; a response that is sampled too seldom is missed by all of them.
+    """
+    used = odd[(odd >= 2) & (odd < len(place) - 2)]
+    if len(used) < _SHORTEST or len(place) < 4 * _SHORTEST:
+        return False
+    coarse = CubicSpline(place[::4], values[::4])(place[used]) - values[used]
+    fine = float(np.median(np.abs(miss)))
+    size = float(np.median(np.abs(values)))
+    return fine < _NOISE * size and float(np.median(np.abs(coarse))) < _ALIKE * fine
+
+
+# Missing bins of G: bridged where known bins left out show that this is safe, else their cost is kept in sight.
+# A hole rings through the whole record: 3 of 981 bins move S by 30 %.
+
+Fit = Callable[[FloatArray, ComplexArray, FloatArray], ComplexArray]
+_SAFE = 0.1  # of the largest entry at a frequency: what a fit may miss at known bins that it did not see
+_MARGIN = 2.0  # a bin missing may lie worse than the known ones beside it
+_MOST_HOLES = 0.5  # of a band: fewer known bins than missing ones leave nothing to learn from
+_LEVELS = (1e-6, 1e-3)  # where a rational fit stops: G as smooth as computed, and as measured
+_MOST_TERMS = 25  # of a rational fit: a limb's G over 10-500 Hz needs 20; more would fit noise
+_LISTED = 6  # of what is missing, by name
+_NEIGHBOURS, _ORDER = 12, 3  # of the local polynomial, which noise does not mislead
+
+
+@dataclass(frozen=True, eq=False)
+class Bridged:
+    """G with its safe holes filled (``transfer``), and with all of them (``guess``, None if none is left).
+
+    ``error`` is e(f) of what was filled (None without any); ``filled`` and ``left`` count (bin, entry) pairs; ``bins``
+    are those with any hole. ``ends`` counts the pairs before the first or after the last known bin of their entry, and
+    ``absent`` names the actuators, points and entries of which nothing is known.
+    """
+
+    transfer: TransferMatrix
+    guess: TransferMatrix | None = None
+    error: ErrorEstimate | None = None
+    filled: int = 0
+    left: int = 0
+    bins: int = 0
+    ends: int = 0
+    absent: tuple[str, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """Sentence on the bins that were missing and how they were filled; empty without any."""
+        ends = f"G misses {self.ends} values at the ends of its band, which are not bridged and not driven"
+        parts = [*([self._holes] if self.bins else []), *([ends] if self.ends else [])]
+        return "; ".join([*parts, *([self.said_of_absent] if self.absent else [])])
+
+    @property
+    def said_of_absent(self) -> str:
+        """Sentence on actuators, points and entries of which nothing is known; empty without any."""
+        if not self.absent:
+            return ""
+        more = f" and {len(self.absent) - _LISTED} more" if len(self.absent) > _LISTED else ""
+        names = ", ".join(self.absent[:_LISTED]) + more
+        return f"nothing is known of G's {names}: such actuators stay silent, and S is of what is known"
+
+    @property
+    def _holes(self) -> str:
+        """Of the holes within the band."""
+        said = f"G misses {self.filled + self.left} values on {self.bins} bins within its band"
+        if self.filled and self.error is not None:
+            said += f"; {self.filled} are bridged, with e(f) up to {self.error.worst:.1g} there"
+        if self.left:
+            said += f"; {self.left} could not be bridged within {_SAFE:.0%} and are not driven: see S' column of holes"
+        return said
+
+
+def bridged(transfer: TransferMatrix) -> Bridged:
+    """Fill the holes of each entry of G between its first and its last known bin.
+
+    Each entry is fitted by rational functions (AAA, Nakatsukasa et al. 2018) and by a local polynomial. Known bins
+    beside the holes, in runs as long as these, are left out first: the fit that misses them least is taken, and twice
+    what it missed is its error. A miss above 10 % of the largest entry at the frequency is not safe. Entries that are
+    half unknown, and bins beyond the known band, stay as they are; the latter are counted.
+    """
+    whole = _with_missing_rows(transfer)
+    known = known_of(whole)
+    holes, ends = _inner_holes(known), int(np.count_nonzero(beyond(known)))
+    absent = _absent(transfer, np.asarray(known.any(axis=0)))
+    if not holes.any() or not whole.values[known].any():
+        return Bridged(transfer, ends=ends, absent=absent)
+    size = np.abs(np.where(known, whole.values, 0)).max(axis=(1, 2))
+    size = np.interp(whole.frequency, whole.frequency[size > 0], size[size > 0])
+    values, missed = np.where(known, whole.values, 0), np.zeros(known.shape)
+    for o, i in np.argwhere(holes.any(axis=0)):
+        at, on = np.nonzero(holes[:, o, i])[0], np.nonzero(known[:, o, i])[0]
+        values[at, o, i], miss = _best_fit(whole.frequency, values[:, o, i], on, at, size)
+        missed[at, o, i] = _MARGIN * miss
+    safe = holes & (missed <= _MARGIN * _SAFE)
+    filled = np.where(known | safe, values, 0)
+    estimate = _estimate(whole.frequency, filled, np.where(safe, missed, 0) * size[:, None, None])
+    left = int(np.count_nonzero(holes & ~safe))
+    return Bridged(
+        replace(whole, values=filled, valid=known | safe),
+        replace(whole, values=values, valid=known | holes) if left else None,
+        estimate if safe.any() else None,
+        int(np.count_nonzero(safe)),
+        left,
+        int(np.count_nonzero(holes.any(axis=(1, 2)))),
+        ends,
+        absent,
+    )
+
+
+def known_of(transfer: TransferMatrix) -> BoolArray:
+    """True where values (n, n_out, n_in) of G are known."""
+    return np.asarray(np.isfinite(transfer.values) & (True if transfer.valid is None else transfer.valid))
+
+
+def _absent(transfer: TransferMatrix, known: BoolArray) -> tuple[str, ...]:
+    """Names of actuators, points and, of the others, entries that are not ``known`` (n_out, n_in) at any frequency."""
+    if not known.any():
+        return ()
+    columns, rows = np.asarray(~known.any(axis=0)), np.asarray(~known.any(axis=1))
+    single = ~known & ~columns & ~rows[:, None]
+    outputs, inputs = transfer.outputs, transfer.inputs
+    return (
+        *(f"actuator {inputs[i].name}" for i in np.flatnonzero(columns)),
+        *(f"point {outputs[o].name}" for o in np.flatnonzero(rows)),
+        *(f"entry {outputs[o].name} <- {inputs[i].name}" for o, i in np.argwhere(single)),
+    )
+
+
+def _estimate(frequency: FloatArray, values: ComplexArray, off: FloatArray) -> ErrorEstimate:
+    """Of ``values`` that may be ``off`` (n, n_out, n_in), both in G's unit; what was not filled errs by nothing."""
+    largest = np.abs(values).max(axis=(1, 2), keepdims=True)
+    shares = np.divide(off, largest, out=np.zeros_like(off), where=largest > 0)
+    return ErrorEstimate(
+        "bridging", float(np.linalg.norm(off) / np.linalg.norm(values)),
+        f"{_MARGIN:g} times what the fit misses at known bins that it did not see",
+        tuple(frequency.tolist()), tuple(shares.max(axis=(1, 2)).tolist()), shares,
+    )  # fmt: skip
+
+
+def _with_missing_rows(transfer: TransferMatrix) -> TransferMatrix:
+    """G with NaN on the bins that an evenly spaced list of frequencies leaves out."""
+    f = transfer.frequency
+    if len(f) < _NEIGHBOURS:
+        return transfer
+    step = float(np.median(np.diff(f)))
+    place = np.rint((f - f[0]) / step).astype(int)
+    uneven = not np.allclose(f, f[0] + step * place, atol=1e-3 * step) or len(set(place.tolist())) < len(place)
+    if uneven or place[-1] + 1 == len(f):
+        return transfer
+    frequency = f[0] + step * np.arange(place[-1] + 1)
+    frequency[place] = f
+    values = np.full((len(frequency), *transfer.values.shape[1:]), np.nan + 0j)
+    values[place] = transfer.values
+    valid = np.zeros(values.shape, dtype=bool)
+    valid[place] = np.isfinite(transfer.values) if transfer.valid is None else transfer.valid
+    deviation = None if transfer.deviation is None else np.full(values.shape, np.nan)
+    if deviation is not None:
+        deviation[place] = transfer.deviation
+    return replace(transfer, frequency=frequency, values=values, valid=valid, contacts=None, deviation=deviation)
+
+
+def _inner_holes(known: BoolArray) -> BoolArray:
+    """Unknown values with known ones on both sides, in entries known on most of their band."""
+    before, after = np.maximum.accumulate(known, axis=0), np.maximum.accumulate(known[::-1], axis=0)[::-1]
+    inner = ~known & before & after
+    enough = inner.sum(axis=0) <= _MOST_HOLES * (inner | known).sum(axis=0)
+    return np.asarray(inner & enough & (known.sum(axis=0) >= _NEIGHBOURS))
+
+
+def beyond(known: BoolArray) -> BoolArray:
+    """Values before the first or after the last known one of their entry; none of an entry that is all unknown."""
+    before, after = np.maximum.accumulate(known, axis=0), np.maximum.accumulate(known[::-1], axis=0)[::-1]
+    return np.asarray(~(before & after) & known.any(axis=0))
+
+
+def _best_fit(
+    f: FloatArray, values: ComplexArray, on: IntArray, at: IntArray, size: FloatArray
+) -> tuple[ComplexArray, float]:
+    """Values at the bins ``at`` from those at ``on``, and what the fit misses at known bins, relative to ``size``."""
+    asked = _like_holes(on, at)
+    rest = np.setdiff1d(on, asked)
+    best = (np.zeros(len(at), dtype=complex), np.inf)
+    fits: list[Fit] = [*(partial(_rational, level=level) for level in _LEVELS), _local]
+    for fit in fits:
         try:
-            rate, samples = wavfile.read(path)
-        except wavfile.WavFileWarning as problem:
-            raise ValueError(str(problem)) from None
-    silence = 128.0 if samples.dtype == np.uint8 else 0.0  # 8 bits have no sign
-    return np.asarray(samples, dtype=float) - silence, float(rate)
+            miss = float(np.max(np.abs(fit(f[rest], values[rest], f[asked]) - values[asked]) / size[asked]))
+            if miss < best[1]:
+                best = (fit(f[on], values[on], f[at]), miss)
+        except (np.linalg.LinAlgError, ImportError):  # SciPy has AAA since 1.15
+            continue
+        if best[1] < 1e-2 * _SAFE:
+            break
+    return best
 
 
-def _read_npy(path: Path) -> tuple[FloatArray, float | None]:
-    array = np.load(path, allow_pickle=False)
-    if not np.issubdtype(array.dtype, np.floating) and not np.issubdtype(array.dtype, np.integer):
-        raise ValueError(f"expected real numbers, got {array.dtype}")
-    return np.asarray(array, dtype=float), None
+def _like_holes(on: IntArray, at: IntArray) -> IntArray:
+    """Known bins to leave out: for each run of holes the known run beside it of the same length, a tenth at most."""
+    runs = np.split(at, np.nonzero(np.diff(at) > 1)[0] + 1)
+    most, asked = max(len(on) // 10, 1), []
+    for run in runs[:: max(1, len(at) // most)]:
+        first = int(np.searchsorted(on, run[-1]))
+        # one known bin stays between the hole and what is left out
+        asked.append(on[first + 1 : first + 1 + len(run)] if first + 2 + len(run) < len(on) else on[-len(run) - 2 : -2])
+    return np.unique(np.concatenate(asked))
+
+
+def _rational(x: FloatArray, y: ComplexArray, at: FloatArray, level: float) -> ComplexArray:
+    from scipy.interpolate import AAA
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # that it stopped at its most terms shows in what it misses
+        return np.asarray(AAA(x, y, rtol=level, max_terms=_MOST_TERMS)(at))
+
+
+def _local(x: FloatArray, y: ComplexArray, at: FloatArray) -> ComplexArray:
+    """Least-squares cubic through the nearest known bins."""
+    first = np.clip(np.searchsorted(x, at) - _NEIGHBOURS // 2, 0, len(x) - _NEIGHBOURS)
+    near = first[:, None] + np.arange(_NEIGHBOURS)
+    scale = np.abs(x[near] - at[:, None]).max(axis=1, keepdims=True)
+    powers = ((x[near] - at[:, None]) / scale)[:, :, None] ** np.arange(_ORDER + 1)
+    return np.asarray((np.linalg.pinv(powers) @ y[near][:, :, None])[:, 0, 0])

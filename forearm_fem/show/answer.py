@@ -15,7 +15,7 @@ import numpy as np
 
 from ..metrics.strength import strength_text
 from ..ports import positions
-from ..rendering.drives import not_counted_words, rim_gaps
+from ..rendering.limits import not_counted_words, rim_gaps
 from ..scenario import Scenario
 from ..scenario.load import shipped_scenarios
 from .data import Results

@@ -16,7 +16,7 @@ from ..geometry.mesh.files import read_mesh
 from ..geometry.mesh.tissue_mesh import TissueMesh, with_finer_skin
 from ..ports import Port, positions
 from ..rendering import Record, Wavelet, from_samples_file, ricker
-from ..rendering.drives import counted_points
+from ..rendering.limits import counted_points
 from ..results.files import (
     Signals,
     StrengthRow,

@@ -14,7 +14,7 @@ from ..device import respond as loop_response
 from ..errors import NotApplicable
 from ..measurement.estimators import ExponentialSweep
 from ..rendering import Record, on_record_bins, respond, to_spectrum
-from ..rendering.drives import limits_of
+from ..rendering.limits import limits_of
 from ..typing import FloatArray
 from .data import Results, places
 from .matrix import shown, unwrapped, zero_points

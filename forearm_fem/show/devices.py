@@ -17,7 +17,7 @@ from ..errors import DataError
 from ..metrics.strength import strength_text
 from ..ports import positions
 from ..progress import Progress, tell
-from ..rendering.drives import rim_gaps
+from ..rendering.limits import rim_gaps
 from ..results.draws import DRAWS_FILE, DrawsFile
 from ..store.record import load
 from ..transfer import total_error

@@ -11,8 +11,8 @@ import numpy as np
 from ..accuracy.estimates import short_verdict
 from ..metrics import condition_number, condition_summary, thesis_table
 from ..metrics.strength import GROUPS, strength_text
-from ..rendering.drives import beyond_limits, limits_of
-from ..rendering.funneling import is_thesis_grid
+from ..ports import is_thesis_grid
+from ..rendering.limits import beyond_limits, limits_of
 from ..scenario import Scenario
 from ..scenario.device import GridPlaces, Places
 from ..transfer import entry_band_errors, total_error

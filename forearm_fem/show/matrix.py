@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from ..metrics import condition_number, singular_values
 from ..rendering import AutoZeros, BinnedTransfer
-from ..rendering.drives import Aim
+from ..rendering.renderers import Aim
 from ..rendering.signals import BinValues, Record
 from ..store.folder import atomic_path
 from ..transfer import TransferMatrix, entry_errors

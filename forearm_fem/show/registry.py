@@ -16,8 +16,8 @@ from matplotlib import style
 from matplotlib.figure import Figure
 
 from ..errors import DataError, ForearmError, NotApplicable
+from ..ports import is_thesis_grid
 from ..progress import Progress, tell
-from ..rendering.funneling import is_thesis_grid
 from ..store.folder import atomic_path, write_text
 from . import device, film, judge, matrix, scene, targets, waves
 from .answer import beside_thesis

@@ -20,8 +20,7 @@ from ..metrics import fit_waves
 from ..metrics.waves import beside
 from ..ports import Port, distances, positions
 from ..rendering import Drives, InverseFilter, Wavelet, displacements, drives, on_record_bins
-from ..rendering.drives import Aim
-from ..rendering.funneling import known_bins
+from ..rendering.renderers import Aim, known_bins
 from ..rendering.signals import BinnedTransfer
 from ..scenario import Scenario
 from ..transfer import TransferMatrix

@@ -25,10 +25,9 @@ from ..files.declaration import Declaration, Ports, arbitrary_gain
 from ..files.read import read
 from ..measurement.daq import Daq, faded
 from ..measurement.playback import play
-from ..rendering.bridging import bridged
 from ..rendering.drives import drives
 from ..rendering.job import renderers
-from ..rendering.signals import BinnedTransfer, Record, Wavelet, on_record_bins, respond, to_spectrum
+from ..rendering.signals import BinnedTransfer, Record, Wavelet, bridged, on_record_bins, respond, to_spectrum
 from ..scenario import Scenario
 from ..scenario.measurement import DaqOptions
 from ..transfer import TransferMatrix

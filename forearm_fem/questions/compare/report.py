@@ -21,7 +21,7 @@ from ...files.declaration import arbitrary_gain
 from ...metrics.common_ground import CommonGround
 from ...metrics.strength import strength_text
 from ...ports import positions
-from ...rendering.drives import counted_points, not_counted_words
+from ...rendering.limits import counted_points, not_counted_words
 from ...scenario.load import shipped_scenarios
 from ...show.page import Block, Page, Section, embedded
 from ...show.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, micro, panels, sign, single, styled

@@ -40,8 +40,8 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from ...errors import ScenarioError, first_problem
-from ...rendering.drives import CLEARANCE
 from ...rendering.job import user_renderer
+from ...rendering.limits import CLEARANCE
 from ...scenario import Scenario, load_scenario, parse_scenario, scenario_beside
 from ...scenario.actuators import ACTUATORS
 from ...scenario.base import Name, Part, Within, dotted

@@ -24,11 +24,11 @@ from ...laws import LAWS as BUILT_IN
 from ...laws import REFERENCE
 from ...measurement.chain import reported
 from ...notebook import Manners, place
+from ...ports import is_thesis_grid
 from ...progress import Progress, tell, within
-from ...rendering.drives import counted_points
-from ...rendering.funneling import is_thesis_grid
 from ...rendering.interval import Strength, interval
 from ...rendering.job import RenderJob, check_servable, wavelet
+from ...rendering.limits import counted_points
 from ...results.draws import DRAWS_FILE, KEPT, READINGS, DrawsFile, Outcome
 from ...results.files import TransferFile
 from ...scenario import Scenario

@@ -21,8 +21,8 @@ from ...geometry.device.layout import planform_ports
 from ...layered import Disc, Layer, Surface, layered_compliance
 from ...metrics import fit_waves
 from ...metrics.strength import thesis_table
+from ...ports import is_thesis_grid
 from ...progress import Progress, tell
-from ...rendering.funneling import is_thesis_grid
 from ...rendering.interval import Strength, strength_of
 from ...rendering.job import RenderJob, targets_of, wavelet, wavelet_for
 from ...scenario import Scenario

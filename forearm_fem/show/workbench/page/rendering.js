@@ -2,7 +2,7 @@
 import { svd, zeros } from "./numeric.js";
 
 /**
- * Rectangles of ports and the zero points that follow from them. As Python's rendering/funneling.py and inverse_filter.py.
+ * Rectangles of ports and the zero points that follow from them. As Python's ports.py and rendering/renderers.py.
  *
  * @typedef {import("./device.js").Port} Port
  * @typedef {{angle: number, rows: number[], columns: number[], place: number[][], slack: number}} Lattice

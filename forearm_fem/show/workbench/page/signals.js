@@ -63,7 +63,7 @@ export function windowOf(samples, record) {
 }
 
 /**
- * Signal strength S and the drives' limits. As Python's metrics/strength.py and rendering/drives.py.
+ * Signal strength S and the drives' limits. As Python's metrics/strength.py and rendering/limits.py.
  *
  * @typedef {import("./signals.js").Record} Record
  */

@@ -1,23 +1,49 @@
-"""Inverse filter: its zero points, its combination with funneling, and what several aims share."""
+"""Renderers: inverse filter with its zero points, funneling, and their combination."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations
-from math import comb
 from typing import Literal, Protocol
 
 import numpy as np
 
-from ..errors import GeometryError, ScenarioError
-from ..metrics.strength import area, plain_strength
-from ..progress import Progress, tell
+from ..errors import DataError, GeometryError, ScenarioError
+from ..ports import (
+    SLACK,
+    Port,
+    PortLattice,
+    lattice_of,
+    line_through,
+    nearest_distance,
+    positions,
+    triangle_weights,
+)
 from ..typing import BoolArray, ComplexArray, FloatArray
-from .drives import Aim
-from .funneling import Distance, Funneling, Weights, absent_inputs, known_bins, lattice_of, settled_weights
-from .signals import BinnedTransfer, respond
+from .signals import BinnedTransfer
+
+
+@dataclass(frozen=True, eq=False)
+class Aim:
+    """A renderer's answer: ``spectrum`` (n_bins, n_in) [unit/Hz], the bins it ``used`` (n_bins,) and how."""
+
+    spectrum: ComplexArray
+    used: BoolArray
+    zeros: tuple[str, ...] = ()
+    inversion: Inversion | None = None
+
+
+class Renderer(Protocol):
+    """Turns G, a target and a wavelet into drive spectra; options live in its constructor."""
+
+    @property
+    def name(self) -> str:
+        """Name under which results are filed."""
+
+    def aim(self, placed: BinnedTransfer, target: str, wavelet: ComplexArray) -> Aim:
+        """Drive spectra towards output ``target`` for the wavelet's spectrum (n_bins,) [1/Hz] on the same bins."""
 
 RegularisationKind = Literal["rcond", "tikhonov", "discrepancy", "lcurve", "noise"]
 _ROUNDING = 4e-15  # relative to s_max: what an SVD of a few rows leaves of a singular value that is zero
@@ -204,14 +230,6 @@ def _curvature(x: FloatArray, y: FloatArray, t: FloatArray) -> FloatArray:
     speed = np.hypot(dx, dy)
     still = speed < 1e-3
     return np.where(still, -np.inf, (dx * ddy - ddx * dy) / np.where(still, 1, speed) ** 3)
-
-
-# Inverse filter: its zero points, its combination with funneling, and what several aims share.
-
-# Zero points: the outputs an inverse filter holds still while it moves the target.
-
-_MOST_SETS = 200  # tried one by one
-_LOUDEST, _ROUNDS = 12, 2  # of an exchange
 THESIS_ACTUATORS = 4
 
 
@@ -279,91 +297,6 @@ class FixedZeros:
         if target not in self.by_target:
             raise ScenarioError(f"no zero points are on record for target '{target}'")
         return self.by_target[target]
-
-
-@dataclass(frozen=True)
-class SearchedZeros:
-    """The set of ``size`` zero points with the largest S found; ``size`` None: as many as there are actuators, 4 at
-    least.
-
-    S (eq. 9) over the ``window`` (start, end) [s], or the whole record. Up to 200 sets are all tried (the thesis' grid
-    has C(8, 4) = 70). Beyond that, points are added one at a time and then exchanged one at a time while S rises, in
-    two rounds at most, each time among the 12 outputs that move most: a local best after at most 36 tries a point.
-    ``progress`` counts the sets of one target. Raises ScenarioError for more zero points than outputs.
-    """
-
-    size: int | None = None
-    window: tuple[float, float] | None = None
-    progress: Progress | None = field(default=None, repr=False, compare=False)
-
-    def choose(self, placed: BinnedTransfer, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
-        """Names of the best zero points."""
-        return self.ranking(placed, target, aim)[0][0]
-
-    def ranking(
-        self, placed: BinnedTransfer, target: str, aim: Callable[[tuple[str, ...]], Aim]
-    ) -> tuple[tuple[tuple[str, ...], float], ...]:
-        """The sets tried with their S, best first."""
-        placed.row(target)
-        others = [p.name for p in placed.outputs if p.name != target]
-        size = self.size if self.size is not None else max(4, len(placed.inputs))
-        size = min(size, len(others)) if self.size is None else size
-        if not 0 <= size <= len(others):
-            raise ScenarioError(f"{size} zero points cannot be searched among {len(others)} outputs beside the target")
-        few = comb(len(others), size) <= _MOST_SETS
-        trial = _Trial(placed, target, aim, self, comb(len(others), size) if few else (_ROUNDS + 1) * size * _LOUDEST)
-        if few:
-            for zeros in combinations(others, size):
-                trial.strength(zeros)
-        else:
-            _exchange(trial, size, [p.name for p in placed.outputs])
-        found = [(zeros, s) for zeros, s in trial.found.items() if len(zeros) == size]
-        return tuple(sorted(found, key=lambda pair: -pair[1] if pair[1] == pair[1] else float("inf")))
-
-
-@dataclass
-class _Trial:
-    """Sets tried for one target, with S and the area of every output."""
-
-    placed: BinnedTransfer
-    target: str
-    aim: Callable[[tuple[str, ...]], Aim]
-    rule: SearchedZeros
-    most: int
-    found: dict[tuple[str, ...], float] = field(default_factory=dict)
-    areas: dict[tuple[str, ...], FloatArray] = field(default_factory=dict)
-
-    def strength(self, zeros: tuple[str, ...]) -> float:
-        """S with these zero points; -inf where it is no number."""
-        if zeros not in self.found:
-            response, time = respond(self.placed, self.aim(zeros).spectrum), self.placed.record.time
-            row, window = self.placed.row(self.target), self.rule.window
-            self.found[zeros] = plain_strength(response, row, time=time, window=window)
-            self.areas[zeros] = area(response, time=time, window=window)
-            tell(self.rule.progress, "zero points of one target", len(self.found), self.most)
-        found = self.found[zeros]
-        return found if found == found else float("-inf")
-
-
-def _exchange(trial: _Trial, size: int, names: list[str]) -> None:
-    """Zero points added one at a time, then each exchanged for a better one while S rises."""
-
-    def best_with(rest: tuple[str, ...]) -> tuple[str, ...]:
-        """The set of most S that adds one of the loudest points to ``rest``."""
-        trial.strength(rest)
-        loud = [names[i] for i in np.argsort(-trial.areas[rest]) if names[i] not in (trial.target, *rest)]
-        # names in the order of the outputs, so that a set met again is known
-        return max((tuple(sorted((*rest, n), key=names.index)) for n in loud[:_LOUDEST]), key=trial.strength)
-
-    chosen: tuple[str, ...] = ()
-    for _ in range(size):
-        chosen = best_with(chosen)
-    for _ in range(_ROUNDS):
-        before = chosen
-        for name in before:
-            chosen = max(chosen, best_with(tuple(n for n in chosen if n != name)), key=trial.strength)
-        if chosen == before:
-            return
 
 
 Zeros = ZeroRule | tuple[str, ...]
@@ -515,3 +448,157 @@ class Combination:
         """The same renderer with zero points and shares found for ``targets``, as far as places tell."""
         weights = settled_weights(self.weights, placed, targets, self.distance)
         return replace(self, zeros=settled_zeros(self.zeros, placed, targets), weights=weights)
+
+
+# Funneling: all actuators send the same signal, the nearer ones more of it.
+
+Weights = Mapping[str, FloatArray]  # A_q / A (n_in,) by target
+Distance = Literal["spacing", "diagonal"] | float  # D of eq. 6 [m]
+
+
+def funneling_weights(inputs: tuple[Port, ...], target: Port, distance: Distance = "spacing") -> FloatArray:
+    """A_q / A (n_in,) [-]; they sum to 1 where ``distance`` is the spacing.
+
+    On a rectangle of N x M actuators eq. 6 of de Vlam 2022, (1 - d_x / D_x)(1 - d_y / D_y): the four around the target
+    share its weight, so that eq. 6 holds within each cell. D, "the maximum distances between the actuators", is the
+    cell's side along each axis; or its diagonal; or a length [m], which may not be shorter than a side.
+
+    On a line, the one-dimensional form of eq. 6 between the two neighbours. Any other layout: the target's barycentric
+    coordinates in the triangle of nearest actuators, the linear law of three-actuator phantoms
+    (US 10867526 B2, eq. 5).
+
+    Raises GeometryError for a single actuator, and where the target lies outside the actuators. The logarithmic law is
+    not covered (the thesis took the linear one).
+    """
+    if len(inputs) < 2:
+        raise GeometryError("funneling, actuators: expected two or more, got one")
+    try:
+        grid = lattice_of(inputs, "funneling, actuators")
+    except GeometryError:  # no rectangle
+        grid = None
+    if grid is not None:
+        shares = [
+            _shares(at, lines, grid.slack, target.name)
+            for at, lines in zip(grid.coordinates(target), (grid.rows, grid.columns), strict=True)
+        ]
+        if distance != "spacing":
+            shares = _farther(grid, shares, target, distance)
+        return np.asarray(shares[0][grid.place[:, 0]] * shares[1][grid.place[:, 1]])
+    if distance != "spacing":
+        raise GeometryError("rendering.funneling_distance: the actuators form no rectangle; leave it at 'spacing'")
+    place, at = positions(inputs)[:, :2], positions((target,))[0, :2]
+    if not (nearest := nearest_distance(place)) > 0:
+        raise GeometryError("funneling, actuators: two of them lie at one place; give each its own")
+    slack = SLACK * nearest
+    line = line_through(place, slack)
+    if line is None:
+        weights = triangle_weights(place, at, slack)
+        if weights is None:
+            raise GeometryError(f"funneling: target '{target.name}' lies outside the actuators")
+        return weights
+    along, aside = place @ line, abs(float((at - place.mean(axis=0)) @ np.array([-line[1], line[0]])))
+    if aside > slack:
+        raise GeometryError(f"funneling: target '{target.name}' lies {aside:.3g} m outside the actuators' line")
+    order, weights = np.argsort(along), np.empty(len(inputs))
+    weights[order] = _shares(float(at @ line), along[order], slack, target.name, "line")
+    return weights
+
+
+def _farther(grid: PortLattice, shares: list[FloatArray], target: Port, distance: Distance) -> list[FloatArray]:
+    """Shares 1 - d / D of the lines of the target's cell along both axes, D one length for both."""
+    cell = [_cell(at, lines) for at, lines in zip(grid.coordinates(target), (grid.rows, grid.columns), strict=True)]
+    sides = [float(np.ptp(lines[inside])) for lines, inside in zip((grid.rows, grid.columns), cell, strict=True)]
+    length = math.hypot(*sides) if distance == "diagonal" else float(distance)
+    if length < max(sides):
+        raise GeometryError(
+            f"rendering.funneling_distance: {length:g} m is shorter than the {max(sides):g} m between actuators, and "
+            "shares would be negative; lengthen it"
+        )
+    return [
+        np.where(inside, 1 - np.abs(lines - at) / length, 0.0)
+        for at, lines, inside in zip(grid.coordinates(target), (grid.rows, grid.columns), cell, strict=True)
+    ]
+
+
+def _cell(at: float, lines: FloatArray) -> BoolArray:
+    """The two lines (n,) around a coordinate."""
+    first = int(np.clip(np.searchsorted(lines, at, side="right") - 1, 0, len(lines) - 2))
+    return np.isin(np.arange(len(lines)), (first, first + 1))
+
+
+def _shares(at: float, lines: FloatArray, slack: float, name: str, what: str = "rectangle") -> FloatArray:
+    """Linear share of each line: 1 on it, 0 on its neighbours."""
+    if not lines[0] - slack <= at <= lines[-1] + slack:
+        outside = max(lines[0] - at, at - lines[-1])
+        raise GeometryError(f"funneling: target '{name}' lies {outside:.3g} m outside the actuators' {what}")
+    return np.array([np.interp(at, lines, unit) for unit in np.eye(len(lines))])
+
+
+@dataclass(frozen=True)
+class Funneling:
+    """Funneling renderer, eq. 5, 6 and 8 of de Vlam 2022: s_q(t) = A_q w(t).
+
+    ``amplitude`` [V, or G's drive unit] is A. The drive is cut to the bins where the target's row of G is known, as in
+    the other renderers, so that their displacements compare; an actuator never measured there stays silent. ``weights``
+    are A_q / A by target where they were found before (:meth:`precomputed_for_targets`). ``distance`` is D of
+    eq. 6.
+    """
+
+    amplitude: float = 1.0
+    distance: Distance = "spacing"
+    weights: Weights | None = field(default=None, repr=False, compare=False)
+    name: str = "funneling"
+
+    def aim(self, placed: BinnedTransfer, target: str, wavelet: ComplexArray) -> Aim:
+        """Drive spectra towards output ``target``; ``wavelet`` (n_bins,) [1/Hz]."""
+        row = placed.row(target)
+        found = (self.weights or {}).get(target)
+        weights = funneling_weights(placed.inputs, placed.outputs[row], self.distance) if found is None else found
+        used = known_bins(placed, [row])
+        weights = np.where(absent_inputs(placed, [row]), 0, weights)
+        spectrum = self.amplitude * weights * np.where(used, wavelet, 0)[:, None]
+        return Aim(np.asarray(spectrum, dtype=complex), used)
+
+    def precomputed_for_targets(self, placed: BinnedTransfer, targets: Sequence[str]) -> Funneling:
+        """The same renderer with the weights of ``targets``, for any G of the same ports."""
+        return replace(self, weights=settled_weights(self.weights, placed, targets, self.distance))
+
+
+def settled_weights(
+    weights: Weights | None, placed: BinnedTransfer, targets: Sequence[str], distance: Distance = "spacing"
+) -> Weights:
+    """Weights of ``targets`` that are not among ``weights`` yet, and those; raises as :func:`funneling_weights`."""
+    known = weights or {}
+    new = [t for t in targets if t not in known]
+    found = {t: funneling_weights(placed.inputs, placed.outputs[placed.row(t)], distance) for t in new}
+    return {**known, **found}
+
+
+def known_bins(placed: BinnedTransfer, rows: list[int]) -> BoolArray:
+    """Bins (n_bins,) on which G is valid between ``rows`` and every input that is known there at all.
+
+    Raises DataError if there is none.
+    """
+    valid = placed.bins.valid[:, rows]
+    used = valid[:, :, ~absent_inputs(placed, rows)].all(axis=(1, 2))
+    if not used.any() or absent_inputs(placed, rows).all():
+        raise DataError(f"{_never_together(placed, rows)}; choose others or measure again")
+    return np.asarray(used)
+
+
+def _never_together(placed: BinnedTransfer, rows: list[int]) -> str:
+    """Reason that no bin serves ``rows``: outputs or single entries that are never known, or never all at once."""
+    ever = np.asarray(placed.bins.valid[:, rows].any(axis=0))
+    names = [placed.outputs[r].name for r in rows]
+    if lost := [n for n, row in zip(names, ever, strict=True) if not row.any()]:
+        return f"G is marked invalid on every bin for output(s) {', '.join(lost)}"
+    columns = np.flatnonzero(ever.any(axis=0))
+    single = [f"{names[r]} <- {placed.inputs[i].name}" for r, i in np.argwhere(~ever) if i in columns]
+    if single:
+        return f"G is marked invalid on every bin for {', '.join(single[:6])}"
+    return f"G is nowhere known for outputs {', '.join(names)} at once"
+
+
+def absent_inputs(placed: BinnedTransfer, rows: list[int]) -> BoolArray:
+    """Inputs (n_in,) whose column of G is never valid in ``rows``: they cannot be aimed and stay silent."""
+    return np.asarray(~placed.bins.valid[:, rows].any(axis=(0, 1)))
