@@ -164,7 +164,7 @@ def _under(a: float, b: float, count: int) -> Mapping[Key, FloatArray]:
         octaves = [np.sum(found[i + 1 : j + 1], axis=(0, 1)) for i, j in zip(low, (low[1], len(top) - 1), strict=True)]
         c, d = np.tensordot(solved, np.array(octaves), axes=1)
         limit = c * _beyond(end, 1) + d * _beyond(end, 0)
-        whole[key] = np.concatenate([*found, limit[None]], dtype=np.float32)  # type: ignore[assignment]
+        whole[key] = np.concatenate([*found, limit[None]], dtype=np.float32)
     return MappingProxyType(whole)
 
 
