@@ -219,8 +219,9 @@ def _along(half: float, count: int) -> Mapping[str, FloatArray]:
 
 
 @lru_cache(maxsize=16)
-def _stiffness(a: float, b: float, count: int, sector: Parity) -> tuple[FloatArray, ...]:
-    """Per membrane [N/m], bending [N m] and mass [kg/m^2] the stiffness kappa (f, f) of a sector, and B^-1."""
+def _stiffness(a: float, b: float, count: int, sector: Parity) -> tuple[tuple[FloatArray, ...], FloatArray]:
+    """The stiffness kappa of a sector per membrane [N/m] and mass [kg/m^2] along the skin, per bending [N m] and mass
+    along z, which have nothing to do with each other; and B^-1 (f, f)."""
     along, across = _along(a, count), _along(b, count)
     sides = [_degrees(parity, count) for parity in _components(sector)]
     at = np.cumsum([0, *(len(p) for p, _ in sides)])
@@ -243,7 +244,9 @@ def _stiffness(a: float, b: float, count: int, sector: Parity) -> tuple[FloatArr
     for i, mine in enumerate(own):
         mass[mine, mine], work[mine, mine] = block(i, i, "00", "00"), block(i, i, "B", "B")
     inverse = np.linalg.inv(work)
-    return *(inverse.T @ m @ inverse for m in (membrane, bending, mass)), inverse
+    flat, upright = slice(at[2]), slice(at[2], None)
+    parts = (membrane, flat), (mass, flat), (bending, upright), (mass, upright)
+    return tuple(inverse[part, part].T @ m[part, part] @ inverse[part, part] for m, part in parts), inverse
 
 
 def degrees_of(sheet: Sheet, medium: Medium, omega: FloatArray) -> int:
@@ -257,14 +260,14 @@ def degrees_of(sheet: Sheet, medium: Medium, omega: FloatArray) -> int:
     return min(max(2 * math.ceil((waves + _BEYOND) / 2), _COUNTS[0]), _COUNTS[-1])
 
 
-def _times(kappa: FloatArray | ComplexArray, m: ComplexArray, flat: int) -> ComplexArray:
-    """kappa @ m, where the first ``flat`` functions are along the skin and have nothing to do with those along z;
-    without a complex copy of a real kappa."""
-    parts = []
-    for own in (slice(flat), slice(flat, None)):
-        k, part = kappa[:, own, own], m[:, own]
-        parts.append(k @ part if np.iscomplexobj(k) else k @ part.real + 1j * (k @ part.imag))
-    return np.concatenate(parts, axis=1)
+def _times(kappas: Sequence[FloatArray | ComplexArray], m: ComplexArray) -> ComplexArray:
+    """kappa @ m, of which ``kappas`` are the blocks on the diagonal, without a complex copy of real ones."""
+    out, start = np.empty_like(m), 0
+    for kappa in kappas:
+        own = slice(start, start := start + kappa.shape[-1])
+        part = m[:, own]
+        out[:, own] = kappa @ part if np.iscomplexobj(kappa) else kappa @ part.real + 1j * (kappa @ part.imag)
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,16 +314,17 @@ class Tape:
         known: dict[tuple[int, Key], ComplexArray] = {}
         cores, images, left = [], self._images, self._left(omega)
         out[:, riding[:, None], others] *= left[:, :, None]
+        loss, inertia = self.sheet.viscosity, omega**2 * self.sheet.mass
+        in_plane = self.sheet.membrane + 1j * omega * loss if loss else np.full(omega.size, self.sheet.membrane)
         for sector in _SECTORS:
-            membrane, bending, mass, inverse = _stiffness(*self._halves, self.count, sector)
-            in_plane = self.sheet.membrane + 1j * omega * self.sheet.viscosity
-            kappa = np.multiply.outer(in_plane, membrane) + self.sheet.bending * bending
-            kappa -= np.multiply.outer(omega**2 * self.sheet.mass, mass)
-            kappa = kappa if self.sheet.viscosity else np.real(kappa)
+            (membrane, along, bending, upright), inverse = _stiffness(*self._halves, self.count, sector)
+            kappas = (np.multiply.outer(in_plane, membrane) - np.multiply.outer(inertia, along),
+                      self.sheet.bending * bending - np.multiply.outer(inertia, upright))  # fmt: skip
             c, h = self._skin(kernels, sector, known), rows[sector]
-            flat = c.shape[1] - _size(sector, self.count)
-            resisted, loaded = (_times(kappa, m, flat) for m in (c, h.swapaxes(1, 2)))
-            held = np.linalg.solve(np.eye(c.shape[1]) + resisted, loaded)  # Y H^T, Y symmetric
+            resisted, loaded = (_times(kappas, m) for m in (c, h.swapaxes(1, 2)))
+            every = np.arange(c.shape[1])
+            resisted[:, every, every] += 1
+            held = np.linalg.solve(resisted, loaded)  # Y H^T, Y symmetric
             cores.append(h @ held)
             if riding.size:
                 to, free = self._moved(sector) @ inverse, h.swapaxes(1, 2)
