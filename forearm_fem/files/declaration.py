@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from pydantic import Field
@@ -19,6 +19,7 @@ from ..scenario.base import Part, Positive, UserCode
 from ..scenario.measurement import Quantity
 from ..store.folder import refuse_no_file
 from ..store.text import stand_in, text_of
+from ..transfer import ErrorEstimate, ErrorSource
 from ..typing import BoolArray, ComplexArray, FloatArray
 
 _SNIFFED = 1 << 16  # bytes
@@ -184,6 +185,7 @@ class RawMatrix:
     inputs: tuple[Port, ...] | None = None
     valid: BoolArray | None = None
     deviation: FloatArray | None = None
+    errors: tuple[ErrorEstimate, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
     names: tuple[tuple[str, ...], tuple[str, ...]] | None = None
     numbered: bool = False
@@ -274,6 +276,25 @@ def port_from(fields: Mapping[str, Any]) -> Port:
     """A port from its fields as JSON holds them (lists for tuples)."""
     plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()}
     return Port(**plain)
+
+
+# Error estimates in a text file: what each source may do to all entries; shares of pairs are netCDF's alone.
+
+_OF_ERROR = ("source", "band", "method", "frequency", "per_frequency")
+
+
+def plain_errors(errors: Iterable[ErrorEstimate]) -> list[dict[str, Any]]:
+    """Each source with e_band and e(f), as JSON holds it; NaN is what could not be estimated."""
+    return [{key: getattr(e, key) for key in _OF_ERROR} for e in errors]
+
+
+def errors_from(fields: Sequence[Mapping[str, Any]]) -> tuple[ErrorEstimate, ...]:
+    """Estimates as :func:`plain_errors` wrote them; DataError for an unknown source and for negative errors."""
+    found = tuple(ErrorEstimate(e["source"], float(e["band"]), *(e[key] for key in _OF_ERROR[2:])) for e in fields)
+    for e in found:
+        if e.source not in get_args(ErrorSource) or np.any(np.array([e.band, *e.per_frequency]) < 0):
+            raise DataError(f"errors: expected sizes from 0 by {', '.join(get_args(ErrorSource))}; export it again")
+    return found
 
 
 # Entries of a file of somebody else, put where their names belong among the points and actuators of a scenario.

@@ -306,6 +306,7 @@ def _metres(
         unit=unit.si,
         valid=None if usable.all() and raw.valid is None else np.asarray(usable),
         deviation=deviation,
+        errors=raw.errors,
         provenance={"source": "file", "file": raw.name, "declared": said, **gain, **raw.provenance},
     )
 
@@ -338,7 +339,7 @@ def _joined(parts: Sequence[TransferMatrix]) -> TransferMatrix:
     files = [str(p.provenance["file"]) for p in parts]
     return replace(
         parts[0], frequency=frequency, values=values, valid=None if valid.all() else valid, deviation=deviation,
-        provenance={**parts[0].provenance, "file": files[0], "files": files},
+        errors=(), provenance={**parts[0].provenance, "file": files[0], "files": files},
     )  # fmt: skip
 
 
