@@ -44,7 +44,8 @@ def test_of_a_mesh_that_is_far_off_less_is_stated():
 def test_the_order_is_that_of_the_elements_and_less_beside_rims(element, near, order):
     device = {"contacts": [[0.0, 0.0]], "cone": {"contact": "bonded", "radius": 0.0035}}
     asked = {"device": device, "grid": {"points": [[0.0, 0.03], [near, 0.0]]}, "mesh": {"element": element}}
-    assert order_of(parse_scenario({**asked, "limb": {"shape": "slab"}})) == (order, FAR_OFF)
+    begins = FAR_OFF if element != "P2" else np.inf  # one such slab in four states .54 of its error with it, .87 without
+    assert order_of(parse_scenario({**asked, "limb": {"shape": "slab"}})) == (order, begins)
     # a forearm's layers are one element thick
     assert order_of(parse_scenario(asked)) == (min(order, THIRD_ROUGH), np.inf)
 
