@@ -82,9 +82,8 @@ def test_what_the_polynomials_of_tape_leave_out_is_stated():
 
 @pytest.mark.slow
 def test_stated_error_of_polynomials_holds_on_drawn_arms(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Against 24 polynomials along each side, on arms that the rule was not chosen on, of all three laws: .6 to 8 times
-    the true error, as between judged frequencies the larger counts. The largest true error
-    was .05, at 500 Hz."""
+    """Against 24 polynomials along each side, on four arms that the rule was not chosen on: .6 to 8 times the true
+    error, which is .05 at most, at 500 Hz. Of errors below a thousandth, the integrals' tolerance, more may be said."""
     scene = taped(load_scenario("thesis", overrides=["engine=layered"]), ())
     omega = 2 * np.pi * np.array([100.0, 200.0, 300.0, 400.0, 450.0, 500.0])
     for number in (31, 103, 104, 67):
@@ -102,7 +101,7 @@ def test_stated_error_of_polynomials_holds_on_drawn_arms(monkeypatch: pytest.Mon
         true = changed(truth, stated.values, [*kinds, ~kinds[0]])
         print(number, np.round(true, 5), np.round(stated.sheet / true, 2))
         assert np.all(stated.sheet > 0.6 * true)
-        assert np.all(stated.sheet < 8 * true)
+        assert np.all(stated.sheet < 8 * true + 1e-3)
         assert true.max() < 0.1
 
 
