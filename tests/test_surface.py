@@ -25,7 +25,7 @@ from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenar
 from forearm_fem.questions.predict.run import Question, check_question, predict
 from forearm_fem.rendering.job import check_servable
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.scenario.load import contents, law_files, named_files
+from forearm_fem.scenario.text import contents, law_files, named_files
 from forearm_fem.tissue import resolve_tissues
 
 SMALL = SHORT.replace("f_max = 300.0", "f_max = 700.0")  # all of the wavelet

@@ -20,7 +20,8 @@ import typer
 
 from ..errors import DataError, first_problem, one_sentence
 from ..scenario import Scenario, apply_overrides, load_scenario, scenario_file
-from ..scenario.load import label_of, read_overrides
+from ..scenario.model import read_overrides
+from ..scenario.text import label_of
 from .display import Display as Display
 from .display import console as console
 

@@ -32,8 +32,8 @@ from ..progress import Progress, tell, within
 from ..results.run import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb, SlabLimb
-from ..scenario.load import contents, law_files
 from ..scenario.sweep import ReducedSolve
+from ..scenario.text import contents, law_files
 from ..store.folder import default_cache_dir
 from ..store.record import dims
 from ..store.shelf import Shelf

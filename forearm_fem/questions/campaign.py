@@ -28,7 +28,8 @@ from ..results.run import read_run
 from ..scenario import Scenario, load_scenario, scenario_beside
 from ..scenario.base import Name, Part, dotted
 from ..scenario.limb import tissue_keys
-from ..scenario.load import DOTTED, contents, named_files, read_toml
+from ..scenario.model import read_toml
+from ..scenario.text import DOTTED, contents, named_files
 from ..show.page import Block, Page, Section
 from ..store.folder import check_kind, locked, set_kind, write_text
 from ..store.shelf import WORK, Shelf

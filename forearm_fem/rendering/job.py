@@ -19,7 +19,7 @@ from ..metrics.strength import plain_strength, without_bound
 from ..ports import Port, lattice_of
 from ..progress import Progress, tell
 from ..scenario import Scenario, load_scenario, parse_scenario
-from ..scenario.load import read_overrides
+from ..scenario.model import read_overrides
 from ..scenario.rendering import RenderingOptions, SampledWavelet
 from ..scenario.sweep import Sweep, frequencies
 from ..transfer import UNITS, TransferMatrix

@@ -17,7 +17,7 @@ from ..metrics.strength import strength_text
 from ..ports import positions
 from ..rendering.limits import not_counted_words, rim_gaps
 from ..scenario import Scenario
-from ..scenario.load import shipped_scenarios
+from ..scenario.model import shipped_scenarios
 from .data import Results
 from .facts import _device, _grid, accuracy_words, capital, limb_words
 from .judge import Strengths, strengths

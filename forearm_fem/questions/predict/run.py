@@ -32,8 +32,8 @@ from ...rendering.limits import counted_points
 from ...results.draws import DRAWS_FILE, KEPT, READINGS, DrawsFile, Outcome
 from ...results.files import TransferFile
 from ...scenario import Scenario
-from ...scenario.load import code_files, contents, named_files
 from ...scenario.sweep import frequencies
+from ...scenario.text import code_files, contents, named_files
 from ...store.folder import check_kind, set_kind
 from ...store.record import save
 from ...store.shelf import WORK, Shelf
