@@ -23,7 +23,6 @@ from PIL import Image
 from test_figures_scene import folder  # noqa: F401
 
 from forearm_fem.errors import DataError, NotApplicable
-from forearm_fem.laws import KelvinVoigt
 from forearm_fem.layered.closed_forms import rayleigh_wavenumber
 from forearm_fem.layered.kernel import Layer, surface_kernel
 from forearm_fem.layered.root import trace_root
@@ -53,7 +52,7 @@ from forearm_fem.show.style import SHEET, arrange
 from forearm_fem.show.targets import moments
 from forearm_fem.show.waves import _row, kernel_root, line, travel
 from forearm_fem.store.text import write_json
-from forearm_fem.tissue import resolve_tissues
+from forearm_fem.tissue import KelvinVoigt, resolve_tissues
 from forearm_fem.transfer import ErrorEstimate, entry_errors
 
 pytestmark = pytest.mark.drawn

@@ -17,7 +17,6 @@ from forearm_fem.engines.fem import FemEngine
 from forearm_fem.engines.layered import LayeredEngine
 from forearm_fem.engines.simulation import Engine
 from forearm_fem.errors import DataError, ScenarioError
-from forearm_fem.laws import SpringPot, Zener
 from forearm_fem.questions.compare.parameters import common_parameters
 from forearm_fem.questions.design.candidate import TabulatedArm
 from forearm_fem.questions.predict.arm import LayeredArm
@@ -26,7 +25,7 @@ from forearm_fem.questions.predict.run import Question, check_question, predict
 from forearm_fem.rendering.job import check_servable
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.text import contents, law_files, named_files
-from forearm_fem.tissue import resolve_tissues
+from forearm_fem.tissue import SpringPot, Zener, resolve_tissues
 
 SMALL = SHORT.replace("f_max = 300.0", "f_max = 700.0")  # all of the wavelet
 PAGE = (Path(__file__).parents[1] / "docs" / "howto" / "extend.md").read_text(encoding="utf-8")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from forearm_fem.engines.layered import solve_layered
-from forearm_fem.laws import KelvinVoigt
 from forearm_fem.layered import Disc, Layer, Sheet, Surface, layered_compliance
 from forearm_fem.scenario import parse_scenario
+from forearm_fem.tissue import KelvinVoigt
 from forearm_fem.typing import ComplexArray
 from forearm_fem.verification.scenes import slab_model, slab_response
 

@@ -20,8 +20,8 @@ from ..ports import Port
 from ..store.folder import write_bytes
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
-from .declaration import FOI, Declaration, RawMatrix, RecognitionWarning, arbitrary_gain, port_from, text_in
-from .reader import Reader
+from .declaration import FOI, Declaration, RecognitionWarning, arbitrary_gain, port_from, text_in
+from .reader import RawMatrix, Reader
 
 _COLUMNS = ("frequency_Hz", "output", "input", "real", "imag", "valid", "deviation")
 _MARK = "# forearm_fem "

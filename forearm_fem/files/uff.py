@@ -19,8 +19,8 @@ import numpy as np
 from ..errors import DataError, optional
 from ..scenario.measurement import Quantity, parse_unit
 from ..typing import BoolArray, ComplexArray, FloatArray
-from .declaration import FOI, Declaration, RawMatrix, RecognitionWarning, declare, reading
-from .reader import Reader
+from .declaration import FOI, Declaration, RecognitionWarning, declare, reading
+from .reader import RawMatrix, Reader
 
 _MARKS = re.compile(rb"    -1(?=[\r\n]|\Z| {74})")  # of datasets, as pyuff finds them
 _BLANKS = re.compile(rb"^( {4}-1) +(?=\r?$)", re.MULTILINE)

@@ -37,6 +37,7 @@ from .limb import (
     has_bone,
     layer_tissues,
     limb_tissues,
+    tissue_keys,
 )
 from .measurement import MeasurementOptions
 from .rendering import RenderingOptions
@@ -169,6 +170,11 @@ class Scenario(Part):
         reach = device.cone.radius + _BESIDE
         gaps = (min(math.dist(place, centre) for centre in device.centres) for place in self.grid.places)
         return tuple(str(i) for i, gap in enumerate(gaps, start=1) if gap < reach)
+
+    @property
+    def tissue_keys(self) -> dict[str, str]:
+        """Dotted key -> tissue named there, for any shape of the limb."""
+        return tissue_keys(self.limb)
 
     @property
     def reduction_tolerance(self) -> float:

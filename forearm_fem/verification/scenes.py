@@ -17,13 +17,12 @@ from ..geometry.build import build_mesh
 from ..geometry.device.place import place_ports
 from ..geometry.limb.filling import oriented, stack_prisms
 from ..geometry.mesh.tissue_mesh import EDGES, Bends, TissueMesh, boundary_faces
-from ..laws import KelvinVoigt
 from ..layered import Base, Disc, Layer, layered_compliance
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
 from ..scenario.limb import FreeUnderside, Membrane
 from ..scenario.sweep import DirectSolve
-from ..tissue import Tissue, resolve_tissues
+from ..tissue import KelvinVoigt, Tissue, resolve_tissues
 from ..typing import ComplexArray, FloatArray, IntArray
 
 # Structured blocks and spherical shells of tetrahedra for verification.

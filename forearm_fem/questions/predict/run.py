@@ -20,8 +20,6 @@ from ...engines.simulation import simulate
 from ...errors import AccuracyWarning, ForearmError, ReductionError, ScenarioError
 from ...fem.kernels.compiled import freed_memory_kept
 from ...geometry.device.layout import planform_ports
-from ...laws import LAWS as BUILT_IN
-from ...laws import REFERENCE
 from ...measurement.chain import reported
 from ...notebook import Manners, place
 from ...ports import is_thesis_grid
@@ -39,7 +37,8 @@ from ...store.record import save
 from ...store.shelf import WORK, Shelf
 from ...store.text import digest_of
 from ...store.work import LOST, done_once, light_workers, spread
-from ...tissue import resolve_tissues
+from ...tissue import LAWS as BUILT_IN
+from ...tissue import REFERENCE, resolve_tissues
 from ...transfer import UNITS, ErrorEstimate, finite, total_error
 from ...typing import FloatArray
 from ...usercode import is_code, with_code_beside
