@@ -17,12 +17,13 @@ from cli_runner import cli
 from scipy import stats
 
 from forearm_fem.device import close_loop
+from forearm_fem.engines.layered import Answer, LayeredArm
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.measurement.chain import reported
 from forearm_fem.metrics import signal_strength
 from forearm_fem.questions.predict import run as runs
 from forearm_fem.questions.predict import statistics as numbers
-from forearm_fem.questions.predict.arm import Answer, LayeredArm, arm_model
+from forearm_fem.questions.predict.arm import arm_model
 from forearm_fem.questions.predict.draws import (
     draw_inputs,
     kept_tissues,

@@ -14,12 +14,11 @@ from scenes import shows_itself
 
 from forearm_fem import Law, Simulation, load_scenario, read, render, simulate
 from forearm_fem.engines.fem import FemEngine
-from forearm_fem.engines.layered import LayeredEngine
+from forearm_fem.engines.layered import LayeredArm, LayeredEngine
 from forearm_fem.engines.simulation import Engine
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.questions.compare.parameters import common_parameters
 from forearm_fem.questions.design.candidate import TabulatedArm
-from forearm_fem.questions.predict.arm import LayeredArm
 from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of
 from forearm_fem.questions.predict.run import Question, check_question, predict
 from forearm_fem.rendering.job import check_servable

@@ -16,6 +16,7 @@ import numpy as np
 from ... import __version__
 from ...device import close_loop
 from ...engines.forecast import check_samples
+from ...engines.layered import LayeredArm
 from ...engines.simulation import simulate
 from ...errors import AccuracyWarning, ForearmError, ReductionError, ScenarioError
 from ...fem.kernels.compiled import freed_memory_kept
@@ -42,7 +43,7 @@ from ...tissue import REFERENCE, resolve_tissues
 from ...transfer import UNITS, ErrorEstimate, finite, total_error
 from ...typing import FloatArray
 from ...usercode import is_code, with_code_beside
-from .arm import ArmModel, LayeredArm, arm_model
+from .arm import ArmModel, arm_model
 from .draws import (
     FASCIA,
     LAWS,
