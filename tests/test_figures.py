@@ -45,12 +45,11 @@ from forearm_fem.show import (
     target_waves,
     transfer_of,
 )
-from forearm_fem.show.device import drive_levels, plot_drives
+from forearm_fem.show.device import drive_levels, moments, plot_drives
 from forearm_fem.show.judge import errors
+from forearm_fem.show.matrix import _row, kernel_root, line, travel
 from forearm_fem.show.registry import _chosen
 from forearm_fem.show.style import SHEET, arrange
-from forearm_fem.show.targets import moments
-from forearm_fem.show.waves import _row, kernel_root, line, travel
 from forearm_fem.store.text import write_json
 from forearm_fem.tissue import KelvinVoigt, resolve_tissues
 from forearm_fem.transfer import ErrorEstimate, entry_errors

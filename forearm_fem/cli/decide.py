@@ -103,7 +103,7 @@ def validate(
     with job(folder, "questions.predict.validate", "show.validation") as display:
         from ..questions.predict.run import Question
         from ..questions.predict.validate import validate as run
-        from ..show.validation import failures, validation_page
+        from ..show.prediction import failures, validation_page
 
         found = run(
             Question(asked, scenario.parent, seed, held=tuple(hold or ())), folder, draws=draws, resume=resume,

@@ -26,18 +26,23 @@ from ..progress import Progress, tell
 from ..store.folder import atomic_path
 from ..typing import FloatArray, IntArray
 from .data import Results
-from .motion import Motion, View, default_times, focus_time, motion, shown_values
-from .scene import (
+from .motion import (
     MM,
     NAMED,
+    Motion,
+    View,
     add_bones,
     add_device,
     add_grid,
     add_scale_bar,
     cones_of,
+    default_times,
+    focus_time,
     font_file,
+    motion,
     on_picture,
     plotter_for,
+    shown_values,
     surface_grid,
     trimmed,
     volume_grid,

@@ -40,12 +40,12 @@ from .answer import (
     trust_of,
 )
 from .data import Results
+from .device import plot_trace, target_waves
 from .film import Look, plot_wavefield, wavefield
 from .judge import ERRORS, Strengths, plot_strength_map, strengths
 from .motion import View
 from .page import Block, Page, Picture, Section, embedded
 from .registry import applies, kinds
-from .targets import plot_trace, target_waves
 
 # Report of a scene that renders nothing: how waves travel and decay from one contact, and the layered model beside it.
 
