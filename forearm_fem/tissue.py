@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from importlib.resources import files
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,10 +21,6 @@ from numpy.typing import ArrayLike
 from .errors import ScenarioError
 from .typing import ComplexArray, FloatArray
 from .usercode import named
-
-if TYPE_CHECKING:
-    from .scenario import Scenario
-    from .scenario.limb import TissueOverride
 
 REFERENCE = 150.0  # Hz at which the size of a springpot's modulus is drawn
 KEYS = ("mu", "eta", "exponent", "mu_infinity")  # of [tissues.override.T]; other parameters have a table there
@@ -302,62 +298,19 @@ class TissueRecord:
 
     def tissue(self, values: Mapping[str, float] | None = None) -> Tissue:
         """The tissue, with ``values`` (drawn or chosen) in place of the recorded ones."""
-        return _tissue(self.name, self.model, {**self.values, **(values or {})})
+        return tissue_of(self.name, self.model, {**self.values, **(values or {})})
 
 
-def resolve_tissues(scenario: Scenario) -> Mapping[str, Tissue]:
-    """The scenario's tissues by name: its preset with the overrides applied, bone included.
-
-    Raises :class:`ScenarioError`, with the key's path, for an incomplete new tissue, for a value that
-    would have no effect, and for a limb that names a tissue which does not exist.
-    """
-    records = PRESETS[scenario.tissues.preset]
-    tissues = {name: record.tissue() for name, record in records.items()}
-    changed = {
-        name: _overridden(name, records.get(name), override) for name, override in scenario.tissues.override.items()
-    }
-    result = {**tissues, **changed}
-    for path, name in scenario.tissue_keys.items():
-        if name not in result:
-            raise ScenarioError(
-                f"{path}: no tissue is called '{name}'; known are {', '.join(sorted(result))}, "
-                f"or define it under [tissues.override.{name}]"
-            )
-    return result
-
-
-def _parameters(model: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def parameters_of(model: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names that a law must be given, and names that it may be given."""
     every = fields(law(model))  # type: ignore[arg-type]
     return tuple(f.name for f in every if f.default is MISSING), tuple(f.name for f in every)
 
 
-def _tissue(name: str, model: str, values: Mapping[str, float]) -> Tissue:
+def tissue_of(name: str, model: str, values: Mapping[str, float]) -> Tissue:
     """The tissue that these numbers (SI) describe; they must be complete for the model."""
-    modulus = law(model)(**{key: values[key] for key in _parameters(model)[1] if key in values})
+    modulus = law(model)(**{key: values[key] for key in parameters_of(model)[1] if key in values})
     return Tissue(name, values["density"], modulus, values["bulk"])
-
-
-def _overridden(name: str, record: TissueRecord | None, override: TissueOverride) -> Tissue:
-    """Preset with single values replaced; a change of model keeps only density and bulk modulus."""
-    path = f"tissues.override.{name}"
-    stated = {**override.model_dump(exclude={"law", "parameters"}, exclude_none=True), **override.parameters}
-    given = {key: math.inf if value == "incompressible" else float(value) for key, value in stated.items()}
-    model = override.law or (record.model if record else "kelvin-voigt")
-    kept = dict(record.values) if record else {}
-    if record and model != record.model:
-        kept = {key: kept[key] for key in ("density", "bulk")}
-    needed, taken = _parameters(model)
-    for key in given:
-        if key not in {"density", "bulk", *taken}:
-            raise ScenarioError(f"{path}.{key}: has no effect with the {model} law; remove it or set {path}.law")
-    v = {**kept, **given}
-    if missing := [key for key in ("density", "bulk", *needed) if key not in v]:
-        raise ScenarioError(f"{path}: a {model} tissue stated anew also needs {', '.join(missing)}")
-    found = _tissue(name, model, v)
-    if found.modulus.problem:
-        raise ScenarioError(f"{path}.{found.modulus.problem}")
-    return found
 
 
 def _density(value: float, low: float, high: float, spread: float) -> Sourced:

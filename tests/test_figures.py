@@ -28,6 +28,7 @@ from forearm_fem.layered.kernel import Layer, surface_kernel
 from forearm_fem.layered.root import trace_root
 from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.scenario.model import resolve_tissues
 from forearm_fem.show import (
     Results,
     conditioning,
@@ -51,7 +52,7 @@ from forearm_fem.show.matrix import _row, kernel_root, line, travel
 from forearm_fem.show.registry import _chosen
 from forearm_fem.show.style import SHEET, arrange
 from forearm_fem.store.text import write_json
-from forearm_fem.tissue import KelvinVoigt, resolve_tissues
+from forearm_fem.tissue import KelvinVoigt
 from forearm_fem.transfer import ErrorEstimate, entry_errors
 
 pytestmark = pytest.mark.drawn

@@ -33,10 +33,10 @@ from forearm_fem.questions.compare.run import run_fit
 from forearm_fem.questions.predict.arm import ReducedArm, _nearness, arm_model, with_scene_geometry
 from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
+from forearm_fem.scenario.model import resolve_tissues
 from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.store.record import load, save
 from forearm_fem.store.shelf import Shelf
-from forearm_fem.tissue import resolve_tissues
 from forearm_fem.transfer import Compliance, band_error
 
 SCENE = {

@@ -23,8 +23,9 @@ from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenar
 from forearm_fem.questions.predict.run import Question, check_question, predict
 from forearm_fem.rendering.job import check_servable
 from forearm_fem.scenario import parse_scenario
+from forearm_fem.scenario.model import resolve_tissues
 from forearm_fem.scenario.text import contents, law_files, named_files
-from forearm_fem.tissue import SpringPot, Zener, resolve_tissues
+from forearm_fem.tissue import SpringPot, Zener
 
 SMALL = SHORT.replace("f_max = 300.0", "f_max = 700.0")  # all of the wavelet
 PAGE = (Path(__file__).parents[1] / "docs" / "howto" / "extend.md").read_text(encoding="utf-8")

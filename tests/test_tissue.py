@@ -7,7 +7,8 @@ import pytest
 
 from forearm_fem.errors import ScenarioError
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.tissue import PRESETS, Hysteretic, KelvinVoigt, Law, SpringPot, Tissue, Zener, resolve_tissues
+from forearm_fem.scenario.model import resolve_tissues
+from forearm_fem.tissue import PRESETS, Hysteretic, KelvinVoigt, Law, SpringPot, Tissue, Zener
 
 MODULI = [
     KelvinVoigt(13e3, 3.0),

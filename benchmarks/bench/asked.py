@@ -14,8 +14,8 @@ from forearm_fem.transfer import band_error, relative_error
 from forearm_fem.typing import ComplexArray
 from forearm_fem.verification.scenes import slab_model
 
-from .motion import BAND, knob, options
-from .motion import exact as exact_solution
+from .scene import BAND, knob, options
+from .scene import exact as exact_solution
 
 ACCURACIES = (0.1, 0.01)
 MORE = (0.3, 0.03, 0.003, 0.001)  # the last: 273 045 unknowns, 9.3 GB, 20 minutes
@@ -54,7 +54,7 @@ def asked(accuracy: float) -> Asked:
     coarse = _swept(slab_model(scenario, scale=COARSER), None)
     more = process_time() - start - spent
     truth, stage = exact_solution(BAND), ledger.stages["all"]
-    stated = estimated_errors(coarse, values, BAND, COARSER, order_of(scenario)).band
+    stated = estimated_errors(coarse, values, BAND, COARSER, *order_of(scenario)).band
     return Asked(
         accuracy, element_sizes(scenario).grid, model.operator.n, stage.seconds, spent, more,
         stage.peak_memory_bytes, stated, band_error(values, truth),

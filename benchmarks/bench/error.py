@@ -18,7 +18,7 @@ from forearm_fem.typing import ComplexArray, FloatArray
 from forearm_fem.verification.scenes import slab_model
 
 from .isolated import isolated, median, repeated
-from .motion import BAND, RADII, exact, options, quarter
+from .scene import BAND, RADII, exact, options, quarter
 
 NODES = 11  # Chebyshev frequencies of the interpolated sweep
 

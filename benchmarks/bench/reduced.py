@@ -17,7 +17,7 @@ from forearm_fem.transfer import relative_error
 from forearm_fem.typing import ComplexArray, FloatArray
 
 from .isolated import clock
-from .motion import device, options
+from .scene import device, options
 
 TIMED = 10
 HELD_OUT = 40

@@ -12,7 +12,7 @@ from forearm_fem.fem.linear.factor import make_factor, refined_solve
 from forearm_fem.verification.scenes import slab_model
 
 from .isolated import clock
-from .motion import options, quarter
+from .scene import options, quarter
 
 SCALES = (3.0, 2.0, 1.5, 1.2)
 MORE = (1.0, 0.8, 0.65, 0.55, 0.48, 0.4, 0.33)  # 19 GB in double precision

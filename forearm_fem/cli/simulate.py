@@ -156,7 +156,7 @@ def _expected(asked: Scenario, base: Path, display: Display | None = None) -> Fo
         return None
     from ..engines.forecast import forecast
     from ..geometry.build import cached_mesh
-    from ..tissue import resolve_tissues
+    from ..scenario.model import resolve_tissues
 
     resolve_tissues(asked)  # what they lack is said before anything is meshed
     progress = within(display, "mesh")

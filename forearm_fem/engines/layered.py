@@ -21,10 +21,10 @@ from ..ports import Port
 from ..progress import Progress
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb, SurfacesLimb, Tissues
+from ..scenario.model import resolve_tissues
 from ..scenario.sweep import frequencies
 from ..store.folder import default_cache_dir
 from ..store.shelf import Shelf
-from ..tissue import resolve_tissues
 from ..transfer import Compliance
 from ..typing import ComplexArray, FloatArray
 

@@ -26,13 +26,13 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
+from ..scenario.model import resolve_tissues
 from ..scenario.sweep import frequencies
 from ..store.folder import default_cache_dir
 from ..store.record import dims
 from ..store.shelf import Shelf
 from ..store.text import digest_of
 from ..tissue import law as law_class
-from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, masked
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .fem import fem_model, solve_key

@@ -26,13 +26,13 @@ from ..progress import Progress, tell
 from ..results.run import read_run
 from ..scenario import Scenario, load_scenario, scenario_beside
 from ..scenario.base import Name, Part, dotted
-from ..scenario.model import read_toml
+from ..scenario.model import read_toml, resolve_tissues
 from ..scenario.text import DOTTED, contents, named_files
 from ..show.page import Block, Page, Section
 from ..store.folder import check_kind, locked, set_kind, write_text
 from ..store.shelf import WORK, Shelf
 from ..store.work import LIGHT, LOST, SHARE, done_once, spread
-from ..tissue import PRESETS, KelvinVoigt, Sourced, resolve_tissues
+from ..tissue import PRESETS, KelvinVoigt, Sourced
 
 __all__ = ["Campaign", "CampaignResult", "Member", "MemberResult", "load_campaign", "run_campaign"]
 

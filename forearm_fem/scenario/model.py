@@ -18,6 +18,7 @@ from pydantic import Field, ModelWrapValidatorHandler, TypeAdapter, model_valida
 from pydantic_core import PydanticCustomError
 
 from ..errors import ForearmError, ScenarioError
+from ..tissue import PRESETS, Tissue, TissueRecord, parameters_of, tissue_of
 from ..usercode import with_code_beside
 from .base import Name, Part, UserCode, Within, as_given, changed_keys, copied, idle, put, remade, units_of
 from .device import Device, Grid, GridRows, VoltageRows
@@ -32,6 +33,7 @@ from .limb import (
     MeshLimb,
     MeshOptions,
     SlabLimb,
+    TissueOverride,
     Tissues,
     forearm_length,
     has_bone,
@@ -408,3 +410,46 @@ def _toml_value(text: str) -> Any:
         return read["value"] if len(read) == 1 else text
     except (ValueError, RecursionError):  # the first is also what numbers of thousands of digits raise
         return text
+
+
+def resolve_tissues(scenario: Scenario) -> Mapping[str, Tissue]:
+    """The scenario's tissues by name: its preset with the overrides applied, bone included.
+
+    Raises :class:`ScenarioError`, with the key's path, for an incomplete new tissue, for a value that
+    would have no effect, and for a limb that names a tissue which does not exist.
+    """
+    records = PRESETS[scenario.tissues.preset]
+    tissues = {name: record.tissue() for name, record in records.items()}
+    changed = {
+        name: _overridden(name, records.get(name), override) for name, override in scenario.tissues.override.items()
+    }
+    result = {**tissues, **changed}
+    for path, name in scenario.tissue_keys.items():
+        if name not in result:
+            raise ScenarioError(
+                f"{path}: no tissue is called '{name}'; known are {', '.join(sorted(result))}, "
+                f"or define it under [tissues.override.{name}]"
+            )
+    return result
+
+
+def _overridden(name: str, record: TissueRecord | None, override: TissueOverride) -> Tissue:
+    """Preset with single values replaced; a change of model keeps only density and bulk modulus."""
+    path = f"tissues.override.{name}"
+    stated = {**override.model_dump(exclude={"law", "parameters"}, exclude_none=True), **override.parameters}
+    given = {key: math.inf if value == "incompressible" else float(value) for key, value in stated.items()}
+    model = override.law or (record.model if record else "kelvin-voigt")
+    kept = dict(record.values) if record else {}
+    if record and model != record.model:
+        kept = {key: kept[key] for key in ("density", "bulk")}
+    needed, taken = parameters_of(model)
+    for key in given:
+        if key not in {"density", "bulk", *taken}:
+            raise ScenarioError(f"{path}.{key}: has no effect with the {model} law; remove it or set {path}.law")
+    v = {**kept, **given}
+    if missing := [key for key in ("density", "bulk", *needed) if key not in v]:
+        raise ScenarioError(f"{path}: a {model} tissue stated anew also needs {', '.join(missing)}")
+    found = tissue_of(name, model, v)
+    if found.modulus.problem:
+        raise ScenarioError(f"{path}.{found.modulus.problem}")
+    return found

@@ -21,8 +21,9 @@ from ..layered import Base, Disc, Layer, layered_compliance
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
 from ..scenario.limb import FreeUnderside, Membrane
+from ..scenario.model import resolve_tissues
 from ..scenario.sweep import DirectSolve
-from ..tissue import KelvinVoigt, Tissue, resolve_tissues
+from ..tissue import KelvinVoigt, Tissue
 from ..typing import ComplexArray, FloatArray, IntArray
 
 # Structured blocks and spherical shells of tetrahedra for verification.

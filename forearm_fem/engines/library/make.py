@@ -14,8 +14,9 @@ from ...errors import ForearmError, ScenarioError
 from ...layered.integrals import Medium
 from ...progress import Progress, within
 from ...scenario import Scenario, parse_scenario
+from ...scenario.model import resolve_tissues
 from ...store.record import load, said_content, save
-from ...tissue import KelvinVoigt, resolve_tissues
+from ...tissue import KelvinVoigt
 from ...typing import ComplexArray, FloatArray
 from ..layered import flat_layers, flat_surface, kept_tables, tables_reach
 from .arm import WIDTH, ArmLibrary, library_band, library_skin

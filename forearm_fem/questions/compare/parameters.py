@@ -26,7 +26,7 @@ from ...ports import Port
 from ...progress import Progress
 from ...scenario import Scenario, parse_scenario
 from ...scenario.device import VoltageDevice
-from ...tissue import resolve_tissues
+from ...scenario.model import resolve_tissues
 from ...transfer import Compliance, TransferMatrix
 from ...typing import FloatArray
 

@@ -21,8 +21,9 @@ from ...geometry.device.layout import turned
 from ...scenario import Scenario, parse_scenario
 from ...scenario.device import VoltageDevice
 from ...scenario.limb import limb_tissues
+from ...scenario.model import resolve_tissues
 from ...tissue import LAWS as BUILT_IN
-from ...tissue import law, resolve_tissues
+from ...tissue import law
 from ...typing import FloatArray
 from ...usercode import is_code
 

@@ -31,6 +31,7 @@ from ...rendering.limits import counted_points
 from ...results.draws import DRAWS_FILE, KEPT, READINGS, DrawsFile, Outcome
 from ...results.files import TransferFile
 from ...scenario import Scenario
+from ...scenario.model import resolve_tissues
 from ...scenario.sweep import frequencies
 from ...scenario.text import code_files, contents, named_files
 from ...store.folder import check_kind, set_kind
@@ -39,7 +40,7 @@ from ...store.shelf import WORK, Shelf
 from ...store.text import digest_of
 from ...store.work import LOST, done_once, light_workers, spread
 from ...tissue import LAWS as BUILT_IN
-from ...tissue import REFERENCE, resolve_tissues
+from ...tissue import REFERENCE
 from ...transfer import UNITS, ErrorEstimate, finite, total_error
 from ...typing import FloatArray
 from ...usercode import is_code, with_code_beside
