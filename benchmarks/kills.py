@@ -25,7 +25,9 @@ import sys
 import tempfile
 import threading
 import time
+import urllib.error
 import urllib.request
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +100,7 @@ def started(command: tuple[str, ...], home: Path, cache: Path | None = None, mos
     where = {**os.environ, **threads, **caches}
     line = [sys.executable, "-u", "-m", "forearm_fem", *command]
     if most:
-        line = ["bash", "-c", f"ulimit -f {max(most // 1024, 1)}; exec \"$@\"", "bash", *line]
+        line = ["bash", "-c", f'ulimit -f {max(most // 1024, 1)}; exec "$@"', "bash", *line]
     with (home / "said").open("ab") as said:
         return subprocess.Popen(
             line, cwd=home, env=where, stdout=said, stderr=said, stdin=subprocess.DEVNULL, start_new_session=True
@@ -118,23 +120,27 @@ def prepared(folder: Path, name: str) -> Path:
 def ended(name: str, home: Path, **how: Any) -> int:
     """Exit code of the command, run to its end; a study's participant answers all trials."""
     process = started(COMMANDS[name], home, **how)
-    if name == "study":
-        participant(process, home)
+    if name == "study" and participant(process, home):
         os.killpg(process.pid, signal.SIGTERM)
         process.wait()
         return 0
     return process.wait()
 
 
-def participant(process: subprocess.Popen[bytes], home: Path) -> None:
-    """Answers trial after trial until the task is done or the process is killed; keeps what was taken in ``given``."""
-    address = ""
-    while process.poll() is None and not address:
+def at_once(name: str, *homes: Path, **how: Any) -> list[int]:
+    """Exit codes of the command, started in all ``homes`` at the same time."""
+    with ThreadPoolExecutor(len(homes)) as pool:
+        return list(pool.map(lambda home: ended(name, home, **how), homes))
+
+
+def participant(process: subprocess.Popen[bytes], home: Path) -> bool:
+    """Answers trial after trial, kept in ``given`` once taken; True once the task is done, False if it ends before."""
+    said = home / "said"
+    before = addresses = re.findall(pattern := r"participant:\s+(\S+)", said.read_text())
+    while process.poll() is None and addresses == before:
         time.sleep(0.05)
-        found = re.findall(r"participant:\s+(\S+)", (home / "said").read_text())
-        address = found[-1] if found and found[-1] not in (home / "old").read_text().split() else ""
-    (home / "old").open("a").write(f"{address} ")
-    api = address.replace("/p/", "/api/")
+        addresses = re.findall(pattern, said.read_text())
+    api = "" if addresses == before else addresses[-1].replace("/p/", "/api/")
 
     def asked(what: str, body: dict[str, Any] | None = None) -> dict[str, Any]:
         """Answer of the page's own request."""
@@ -155,10 +161,16 @@ def participant(process: subprocess.Popen[bytes], home: Path) -> None:
                 if int(taken["answered"]) == n + 1:
                     (home / "given").open("a").write(f"{n * 5 % 9 + 1}\n")
             elif state["waiting"] == "done":
-                return
+                return True
             time.sleep(0.02)
+        except urllib.error.HTTPError as refused:
+            if "cannot be written" in (why := str(json.loads(refused.read()).get("problem"))):
+                (home / "said").open("a").write(f"{why}\n")
+                os.killpg(process.pid, signal.SIGTERM)
+                return False
         except OSError:
             time.sleep(0.05)
+    return False
 
 
 def contents(folder: Path) -> dict[str, object]:
@@ -195,8 +207,6 @@ def compared(one: Path, other: Path) -> list[str]:
 def killed(name: str, folder: Path, kills: int, rng: np.random.Generator) -> list[str]:
     """What differs after ``kills`` from one go; prints a line."""
     whole, home = (prepared(folder / name / side, name) for side in ("whole", "killed"))
-    for each in (whole, home):
-        (each / "old").touch()
     began = time.monotonic()
     if ended(name, whole) != 0:
         return [f"{name}: the whole run failed; see {whole / 'said'}"]
@@ -233,7 +243,6 @@ def killed(name: str, folder: Path, kills: int, rng: np.random.Generator) -> lis
 def damaged(name: str, folder: Path, *_: Any) -> list[str]:
     """What differs once every store and cache of a finished command was cut in half, and the results are gone."""
     whole = prepared(folder / name / "whole", name)
-    (whole / "old").touch()
     if ended(name, whole) != 0:
         return [f"{name}: the whole run failed; see {whole / 'said'}"]
     shutil.copytree(whole, home := folder / name / "damaged")
@@ -253,15 +262,14 @@ def damaged(name: str, folder: Path, *_: Any) -> list[str]:
 def full(name: str, folder: Path, *_: Any) -> list[str]:
     """What is wrong with how the command ends where files may not grow: a traceback, or another code than 2."""
     whole = prepared(folder / name / "whole", name)
-    (whole / "old").touch()
     if ended(name, whole) != 0:
         return [f"{name}: the whole run failed; see {whole / 'said'}"]
     largest = max(p.stat().st_size for p in (whole / "out").rglob("*") if p.is_file())
     home = prepared(folder / name / "full", name)
-    code = started(COMMANDS[name], home, most=largest // 4).wait()
+    code = ended(name, home, most=largest // 4)
     said = (home / "said").read_text()
     last = said.strip().splitlines()[-1] if said.strip() else ""
-    wrong = code != 2 or "Traceback" in said
+    wrong = (code != 2 and name != "study") or "Traceback" in said  # a study says it on its pages and goes on
     print(f"{name}: no file beyond {largest // 4} bytes: exit code {code}, {last[:150]!r}", flush=True)
     return [f"{name}: see {home / 'said'}"] * wrong
 
@@ -269,15 +277,11 @@ def full(name: str, folder: Path, *_: Any) -> list[str]:
 def together(name: str, folder: Path, *_: Any) -> list[str]:
     """What differs of two at once on one cache, and of one or two in one folder, from one alone."""
     whole, a, b, one = (prepared(folder / name / side, name) for side in ("whole", "a", "b", "one"))
-    for home in (whole, a, b, one):
-        (home / "old").touch()
     if ended(name, whole) != 0:
         return [f"{name}: the whole run failed; see {whole / 'said'}"]
     cache = folder / name / "cache"
-    both = [started(COMMANDS[name], home, cache=cache) for home in (a, b)]
-    codes = [p.wait() for p in both]
-    same_folder = [started(COMMANDS[name], one) for _ in range(2)]
-    ends = sorted(p.wait() for p in same_folder)
+    codes = at_once(name, a, b, cache=cache)
+    ends = sorted(at_once(name, one, one))
     differs = [k for home in (a, b, one) for k in compared(whole / "out", home / "out")]
     wrong = codes != [0, 0] or ends not in ([0, 0], [0, 2]) or "Traceback" in (one / "said").read_text()
     told = f"two on one cache end {codes}, two in one folder {ends}, {len(differs)} arrays and tables differ"

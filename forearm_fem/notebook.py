@@ -59,31 +59,38 @@ def place(names: Sequence[str], name: str, what: str) -> int:
 
 
 def line_of_g(g: TransferMatrix) -> str:
-    """E.g. ``<TransferMatrix 981 frequencies, 10 to 500 Hz; 9 points, 4 actuators; m/V>``."""
+    """E.g. ``<TransferMatrix 981 frequencies, 10 to 500 Hz; 9 points, 4 actuators; m/V; error 2.1 %>``."""
+    from .transfer import error_words
+
     n, o, i = g.values.shape
     return (
         f"<TransferMatrix {n} frequencies, {g.frequency[0]:g} to {g.frequency[-1]:g} Hz; {o} points, {i} actuators; "
-        f"{g.unit}>"
+        f"{g.unit}; {error_words(g.errors)}>"
     )
 
 
 def html_of_g(g: TransferMatrix) -> str:
     """Size of G and its errors."""
-    errors = [(e.source, f"{e.band:.2g}", f"{e.worst:.2g}") for e in g.errors]
+    from .transfer import size_words
+
+    errors = [(e.source, size_words(e.band, ".2g"), size_words(e.worst, ".2g")) for e in g.errors]
     return html(line_of_g(g)[1:-1], errors, ("source of error", "e_band", "worst e(f)") if errors else ())
 
 
 def xarray_of_g(g: TransferMatrix | Compliance) -> xr.DataArray:
-    """G (frequency, output, input), or a compliance between its ports, with names and units."""
+    """G (frequency, output, input), or a compliance between its ports, with names, units and errors by source."""
     import xarray as xr
+
+    from .transfer import total_error
 
     outputs, inputs = (getattr(g, side, getattr(g, "ports", ())) for side in ("outputs", "inputs"))
     coordinates = {
         "frequency": ("frequency", g.frequency, {"units": "Hz"}),
         "output": [p.name for p in outputs], "input": [p.name for p in inputs],
     }  # fmt: skip
-    unit = getattr(g, "unit", "m/N")
-    return xr.DataArray(g.values, coordinates, ("frequency", "output", "input"), "G", {"units": unit})
+    stated = {"error": total_error(g.errors), **{f"error by {e.source}": e.band for e in g.errors}}
+    said = {"units": getattr(g, "unit", "m/N"), **stated}
+    return xr.DataArray(g.values, coordinates, ("frequency", "output", "input"), "G", said)
 
 
 def plot_of_g(g: TransferMatrix) -> FigureBase:
@@ -109,14 +116,20 @@ def save_s(s: Strength, path: str | Path) -> None:
 
 
 def line_of_s(s: Strength) -> str:
-    """E.g. ``<Strength at 9 targets; in the mean inverse filter 4.33, funneling 2.43>``, of targets that count."""
+    """E.g. ``<Strength at 9 targets; in the mean funneling 2.43; numerics 3.8 % either way at most>``, of targets that
+    count."""
+    from .transfer import percent
+
     kept = np.isfinite(s.value) if s.counted is None else np.isfinite(s.value) & s.counted
     means = ", ".join(
         f"{m} {row[k].mean():.3g}" if k.any() else f"{m} unknown"
         for m, row, k in zip(s.methods, s.value, kept, strict=True)
     )
     lost = "" if s.counted is None or s.counted.all() else f", {np.count_nonzero(~s.counted)} beside a motor left out"
-    return f"<Strength at {len(s.targets)} targets{lost}; in the mean {means}>"
+    off = np.log(np.divide(s.high, s.low, out=np.full(s.low.shape, np.nan), where=s.low > 0))[kept] / 2
+    off = off[np.isfinite(off)]
+    interval = f"numerics {percent(float(off.max()))} either way at most" if len(off) else "interval unknown"
+    return f"<Strength at {len(s.targets)} targets{lost}; in the mean {means}; {interval}>"
 
 
 def html_of_s(s: Strength) -> str:
@@ -158,6 +171,8 @@ def plot_of_s(s: Strength) -> FigureBase:
     axes.set_xlabel("target")
     axes.set_ylabel("signal strength S")
     axes.legend()
+    if not np.isfinite(s.low).any():
+        axes.set_title("interval unknown")
     return figure
 
 

@@ -32,7 +32,9 @@ __all__ = [
     "entry_band_errors",
     "entry_errors",
     "error_of_pairs",
+    "error_words",
     "finite",
+    "percent",
     "refuse_non_finite",
     "relative_error",
     "relative_error_at",
@@ -110,6 +112,22 @@ def total_error(errors: Iterable[ErrorEstimate]) -> float:
     return float(np.sqrt(np.sum(np.square(bands)))) if bands else float("nan")
 
 
+def error_words(errors: Iterable[ErrorEstimate]) -> str:
+    """Error over the band of all sources: "error 2.1 %", "error below 0.01 %", "error unknown"; a measurement's own
+    scatter is called that."""
+    known = list(errors)
+    size = percent(total_error(known))
+    alone = bool(known) and all(e.source == "measurement" for e in known)
+    return f"scatter {size}, systematic error unknown" if alone else f"error {size}"
+
+
+def percent(share: float) -> str:
+    """E.g. ``2.1 %``, ``below 0.01 %``, ``unknown``."""
+    if not np.isfinite(share):
+        return "unknown"
+    return "below 0.01 %" if share < 1e-4 else f"{100 * share:.2g} %" if share < 1 else f"{100 * share:.0f} %"
+
+
 def size_words(size: float, form: str = ".1e") -> str:
     """An estimated error as a number, or "unknown"."""
     return f"{size:{form}}" if np.isfinite(size) else "unknown"
@@ -138,7 +156,8 @@ class Compliance:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        return f"<Compliance {len(self.frequency)} frequencies, {len(self.ports)} ports; m/N>"
+        n, p = len(self.frequency), len(self.ports)
+        return f"<Compliance {n} frequencies, {p} ports; m/N; {error_words(self.errors)}>"
 
     def to_xarray(self) -> xr.DataArray:
         """Values (frequency, output, input) [m/N] with the ports' names."""

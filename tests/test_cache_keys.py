@@ -36,7 +36,6 @@ def with_key(change):
     "change",
     [
         "supports.ends='free'",
-        "supports.underside='foam'",
         "tissues.override.skin.mu=2e4",
         "tissues.membrane.viscosity=1e-3",
         "tissues.patch.mass=0.2",

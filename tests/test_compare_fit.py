@@ -236,6 +236,7 @@ def test_layered_model_recovers_skin_and_coil_parameters(tmp_path):
     result = run_fit(SCENARIO, data, ["scale", "skin.mu", "coil.moving_mass"], folder=tmp_path)
     shows_itself(result)
     assert result.sel("scale") == (result.fit.values["scale"], *result.fit.interval["scale"])
+    assert [e.source for e in result.model.errors] == ["quadrature"]  # the fitted G states the model's own error
     assert not result.numerics  # the layered model's own error counts for nothing beside this noise
     for name, value in true.items():
         low, high = result.fit.interval[name]

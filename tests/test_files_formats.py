@@ -30,7 +30,7 @@ from forearm_fem.files.wav import read_wav_drives
 from forearm_fem.measurement.calibrate import record
 from forearm_fem.rendering import from_samples_file, ricker
 from forearm_fem.scenario.measurement import parse_unit
-from forearm_fem.transfer import TransferMatrix
+from forearm_fem.transfer import ErrorEstimate, TransferMatrix
 
 PORTS = (OUTPUTS, INPUTS)
 FOREIGN = Declaration(
@@ -66,7 +66,11 @@ def outcome(call):
 @pytest.mark.parametrize("masked", [True, False])
 @pytest.mark.parametrize("suffix", ["nc", "csv", "mat"])
 def test_our_files_come_back_exactly_and_need_no_declaration(tmp_path, suffix, masked):
-    g = measured(masked)
+    errors = (
+        ErrorEstimate("discretisation", 0.02, "two meshes", (20.0, 30.0), (0.01, 0.03)),
+        ErrorEstimate("truncation", float("nan"), "no second mesh"),
+    )
+    g = replace(measured(masked), errors=errors)
     files.save(tmp_path / f"G.{suffix}", g)
     back = files.read(tmp_path / f"G.{suffix}")
     np.testing.assert_array_equal(back.frequency, g.frequency)
@@ -75,6 +79,7 @@ def test_our_files_come_back_exactly_and_need_no_declaration(tmp_path, suffix, m
     np.testing.assert_array_equal(known, np.ones_like(known) if back.valid is None else back.valid)
     np.testing.assert_array_equal(back.deviation, g.deviation)
     assert (back.outputs, back.inputs, back.unit) == (g.outputs, g.inputs, g.unit)
+    assert repr(back.errors) == repr(errors)  # NaN, which could not be estimated, is no zero
     assert sorted(p.name for p in tmp_path.iterdir()) == [f"G.{suffix}"]  # nothing left beside it
 
 

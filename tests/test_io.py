@@ -204,7 +204,7 @@ def test_matlab_export_is_the_thesis_array(tmp_path: Path) -> None:
 def test_matlab_round_trip(tmp_path: Path) -> None:
     g = transfer()
     files.write_thesis_mat(tmp_path / "G.mat", g)
-    kept = replace(g, values=np.where(g.valid, g.values, 0), contacts=None, deviation=None, errors=())
+    kept = replace(g, values=np.where(g.valid, g.values, 0), contacts=None, deviation=None)
     same(files.read_thesis_mat(tmp_path / "G.mat"), kept)
 
 

@@ -196,6 +196,7 @@ def fem_answer(data: Mapping[str, Any], mesh: TissueMesh) -> tuple[object, ...]:
     return *made, refused, *passing, scene_notes(scenario)
 
 
+SLAB = {"shape": "slab", "length": 0.1, "width": 0.1, "depth": 0.03}
 IDLE = [
     ({"device.contacts": [[0.0, 0.0]], "device.spacing": 0.03}, "device.spacing"),
     ({"device.columns": 1, "device.spacing_y": 0.03}, "device.spacing_y"),
@@ -210,6 +211,7 @@ IDLE = [
     ({"grid.columns": 1, "grid.pitch_y": 0.02}, "grid.pitch_y"),
     ({"sweep.frequencies": [100.0], "sweep.f_min": 20.0}, "sweep.f_min"),
     ({"supports.foam_damping": 10.0}, "supports.foam_damping"),
+    ({"limb": SLAB, "supports.underside": "fixed"}, "supports.underside"),
     ({"limb.bones": [], "supports.bone": "elastic"}, "supports.bone"),
     ({"solver.sweep": "direct", "solver.start": "rate"}, "solver.start"),
     ({"solver.start": "frequencies", "solver.rate_derivatives": 90}, "solver.rate_derivatives"),

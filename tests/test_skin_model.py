@@ -95,6 +95,7 @@ def test_the_run_s_own_answers_carry_its_errors(solved):
     model = load_skin_model(folder / "reduced.nc")
     found = {e.source: e.band for e in model.transfer(transfer.frequency).errors}
     assert found == pytest.approx({e.source: e.band for e in transfer.errors}, nan_ok=True)
+    assert repr(model) == "<SkinModel of 'small', 2 ports, 40 to 400 Hz; as solved error unknown>"  # one mesh alone
     with pytest.warns(AccuracyWarning):
         beyond = model.transfer(np.array([100.0, 900.0]), model.scenario.changed(STIFFER))
     assert np.isnan(total_error(beyond.errors))
@@ -119,6 +120,9 @@ def test_errors_by_mesh_and_ends_are_those_where_waves_were_as_long():
     found = carried(mesh, f, most, np.ones(4))
     assert found.per_frequency == pytest.approx((0.02, 0.03, 0.04, 0.04 * 2**4))
     assert found.band == pytest.approx(0.02 * np.sqrt(np.mean(np.square(found.per_frequency)) / 7.5e-4))
+    rough = carried(replace(mesh, per_frequency=(0.1, 0.2, 0.3, 0.4)), f, most, np.ones(4))
+    assert rough.per_frequency[-1] == pytest.approx(0.4 * 2**4)  # elements that carry no waves err by G several times
+    assert rough.band == pytest.approx(0.02 * np.sqrt((0.2**2 + 0.3**2 + 0.4**2 + 1) / 0.3))  # which count as G there
     longer = shortening({"muscle": soft}, {"muscle": stiff}, f)[1]
     ends = carried(replace(mesh, source="truncation"), f, longer, np.ones(4))
     assert ends.per_frequency == pytest.approx((0.01 * 2**2, 0.01, 0.02, 0.03))

@@ -248,6 +248,23 @@ def test_a_dead_device_pauses_and_the_stimulus_comes_again(tmp_path):
     assert row["presentations"] == "1"  # only what was played counts
 
 
+def test_an_answer_that_cannot_be_written_waits_and_the_experimenter_is_told(tmp_path):
+    session = opened(tmp_path, small())
+    session.start()
+    session.present()
+    table = tmp_path / "sub-01" / "beh"
+    table.parent.mkdir(parents=True, exist_ok=True)
+    table.write_text("a file where the folder of answers would be")
+    with pytest.raises(DataError, match="cannot be"):
+        session.answer(("5",))
+    assert session.view()["waiting"] == "answer"
+    assert "sub-01" in session.view()["problem"]
+    table.unlink()
+    session.answer(("5",))
+    assert session.view()["problem"] == ""
+    assert len(session._store.answers("01", "places")) == 1
+
+
 def test_pause_repeat_and_break(tmp_path):
     now = [0.0]
     plan = small(break_seconds=30.0)

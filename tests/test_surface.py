@@ -18,6 +18,7 @@ from forearm_fem.engines.layered import LayeredArm, LayeredEngine
 from forearm_fem.engines.simulation import Engine
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.questions.compare.parameters import common_parameters
+from forearm_fem.questions.compare.run import run_compare
 from forearm_fem.questions.design.candidate import TabulatedArm
 from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of
 from forearm_fem.questions.predict.run import Question, check_question, predict
@@ -26,6 +27,7 @@ from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.model import resolve_tissues
 from forearm_fem.scenario.text import contents, law_files, named_files
 from forearm_fem.tissue import SpringPot, Zener
+from forearm_fem.transfer import ErrorEstimate
 
 SMALL = SHORT.replace("f_max = 300.0", "f_max = 700.0")  # all of the wavelet
 PAGE = (Path(__file__).parents[1] / "docs" / "howto" / "extend.md").read_text(encoding="utf-8")
@@ -63,6 +65,24 @@ def test_every_public_name_is_there():
     for verb in ("calibrate", "compare", "design", "fit", "predict", "read", "render", "simulate"):
         assert callable(getattr(forearm_fem, verb))
     assert len(forearm_fem.__all__) <= 26
+
+
+def test_whatever_shows_g_or_s_tells_its_error_or_that_it_is_unknown(simulation: Simulation):
+    bare, s = replace(simulation.transfer, errors=()), simulation.strength
+    cut = replace(bare, errors=(ErrorEstimate("truncation", 0.021, "test"),))
+    lost = replace(bare, errors=(*cut.errors, ErrorEstimate("discretisation", np.nan, "test")))
+    scatter = replace(bare, errors=(ErrorEstimate("measurement", 0.021, "test"),))
+    for g, said in ((bare, "error unknown"), (cut, "error 2.1 %"), (lost, "error unknown"),
+                    (scatter, "scatter 2.1 %, systematic error unknown")):  # fmt: skip
+        assert f"; {said}>" in repr(g)
+        assert said in g._repr_html_()
+        known = [e.band for e in g.errors]
+        np.testing.assert_equal(g.to_xarray().attrs["error"], known[0] if len(known) == 1 else np.nan)
+    assert "Of itself A states: error unknown; B: error 2.1 %." in run_compare(bare, cut, render=False).text
+    nothing = np.full(s.value.shape, np.nan)
+    for shown, said in ((s, "either way at most"), (replace(s, low=nothing, high=nothing), "interval unknown")):
+        assert said in repr(shown)
+        assert (shown.plot().axes[0].get_title() == "interval unknown") is (shown is not s)
 
 
 def test_results_have_a_notebook_s_manners(simulation: Simulation, tmp_path: Path):

@@ -21,7 +21,10 @@ COARSER = math.sqrt(2)
 # fields are singular (nearer than BESIDE [m] to a rigid one, or as Scenario.beside_discs has it), and on limbs other
 # than slabs, whose layers are one element thick on both meshes.
 SECOND_ORDER, THIRD_ORDER, THIRD_ROUGH = 2.1, 3.6, 2.9
-BESIDE = 5e-3
+BESIDE = 3e-3
+# Where G changes by more than FAR_OFF, the second mesh carries waves worse than its order says, and the error follows
+# the change to the power GROWS, as far as LOST: larger changes were not looked at.
+FAR_OFF, LOST, GROWS = 0.03, 0.1, 0.6
 _NEIGHBOURHOOD = 1.25  # e(f) listens to frequencies up to this ratio away (a third of an octave)
 
 
@@ -34,24 +37,28 @@ class DiscretisationError:
     error: FloatArray
 
 
-def order_of(scenario: Scenario) -> float:
-    """Order with which G of ``scenario`` converges; the lowest on a mesh of the user's, whose element pair changes in
-    place of its sizes."""
+def order_of(scenario: Scenario) -> tuple[float, float]:
+    """Order with which G of ``scenario`` converges, and the change beyond which it grows: on slabs :data:`FAR_OFF`, but
+    not where second order ends beside a disc.
+
+    The order is the lowest on a mesh of the user's, whose element pair changes in place of its sizes.
+    """
+    far_off = FAR_OFF if isinstance(scenario.limb, SlabLimb) else math.inf
     if scenario.element not in ("P2/P3", "P3") or isinstance(scenario.limb, MeshLimb):
-        return SECOND_ORDER
+        return SECOND_ORDER, math.inf if scenario.beside_discs else far_off
     if not isinstance(scenario.limb, SlabLimb):
-        return THIRD_ROUGH
+        return THIRD_ROUGH, far_off
     device, reach = scenario.device, scenario.device.cone.radius + BESIDE
     rigid = device.cone.contact in RIGID
     gaps = (math.dist(place, centre) for place in scenario.grid.places for centre in device.centres)
     beside = any(gap < reach for gap in gaps) if rigid else bool(scenario.beside_discs)
-    return THIRD_ROUGH if beside else THIRD_ORDER
+    return THIRD_ROUGH if beside else THIRD_ORDER, far_off
 
 
 def discretisation_of(fine: TransferMatrix, coarse: TransferMatrix, scenario: Scenario) -> ErrorEstimate:
     """Discretisation error of G on the ``fine`` mesh by its change on the ``coarse`` one."""
-    ratio, order = float(coarse.provenance["ratio"]), order_of(scenario)
-    found = estimated_errors(coarse.values, fine.values, fine.frequency, ratio, order)
+    ratio, (order, far_off) = float(coarse.provenance["ratio"]), order_of(scenario)
+    found = estimated_errors(coarse.values, fine.values, fine.frequency, ratio, order, far_off)
     pairs = over_pairs(found.error, coarse.values, fine.values, fine.frequency)
     largest, change = np.abs(fine.values).max(axis=(1, 2), keepdims=True), band_error(coarse.values, fine.values)
     together = (coarse.values - fine.values) / largest * (found.band / change if change > 0 else 0.0)
@@ -66,12 +73,16 @@ def discretisation_of(fine: TransferMatrix, coarse: TransferMatrix, scenario: Sc
     )
 
 
-def remaining_error(change: FloatArray, ratio: float = COARSER, order: float = SECOND_ORDER) -> FloatArray:
+def remaining_error(
+    change: FloatArray, ratio: float = COARSER, order: float = SECOND_ORDER, far_off: float = math.inf
+) -> FloatArray:
     """Relative error of a mesh from the relative ``change`` to one whose sizes are ``ratio`` (not 1) times its own.
 
-    An error C h^p changes by C h^p |ratio^p - 1|, p the ``order``, so change / |ratio^p - 1| is left.
+    An error C h^p changes by C h^p |ratio^p - 1|, p the ``order``, so change / |ratio^p - 1| is left, and less of
+    changes beyond ``far_off``.
     """
-    return np.asarray(change / abs(ratio**order - 1))
+    grown = np.maximum(np.minimum(change, LOST) / far_off, 1.0)
+    return np.asarray(change * grown ** (GROWS - 1) / abs(ratio**order - 1))
 
 
 def estimated_errors(
@@ -80,16 +91,20 @@ def estimated_errors(
     frequency: FloatArray,
     ratio: float = COARSER,
     order: float = SECOND_ORDER,
+    far_off: float = math.inf,
 ) -> DiscretisationError:
     """Discretisation error of ``own`` values (n_frequency, n_out, n_in): the one rule for scenes, arms and
     verification.
 
     ``other`` values are those on the second mesh, whose nodes are ``ratio`` times as far apart. Errors of two meshes
     cancel at some frequencies by chance, so e(f) at ``frequency`` (n_frequency,) [Hz], increasing, comes from the
-    change there or from the change of the third of an octave on either side, whichever is larger.
+    change there or from the change of the third of an octave on either side, whichever is larger. It is the share of
+    that change which e_band is of the band's.
     """
-    single = remaining_error(smoothed_relative_change(other, own, frequency), ratio, order)
-    return DiscretisationError(float(remaining_error(np.asarray(band_error(other, own)), ratio, order)), single)
+    change = band_error(other, own)
+    band = float(remaining_error(np.asarray(change), ratio, order, far_off))
+    single = smoothed_relative_change(other, own, frequency) * (band / change if change > 0 else 0.0)
+    return DiscretisationError(band, single)
 
 
 def smoothed_relative_change(other: ComplexArray, own: ComplexArray, frequency: FloatArray) -> FloatArray:

@@ -18,6 +18,7 @@ from ..transfer import (
     TransferMatrix,
     between,
     error_of_pairs,
+    percent,
     relative_error_at,
     total_error,
 )
@@ -45,9 +46,9 @@ def accuracy_verdict(scenario: Scenario, errors: tuple[ErrorEstimate, ...]) -> s
         names = ", ".join(e.source for e in missing)
         return f"{asked}: UNKNOWN, as {names} could not be estimated ({missing[0].method})"
     if all(e.source == "measurement" for e in errors):
-        return f"{asked}: UNKNOWN, as a measured G states its scatter ({100 * total:.2g} %) and no systematic error"
+        return f"{asked}: UNKNOWN, as a measured G states its scatter ({percent(total)}) and no systematic error"
     met = "met" if total <= scenario.accuracy else "NOT met"
-    return f"{asked}, {100 * total:.2g} % estimated over all sources: {met}"
+    return f"{asked}, {percent(total)} estimated over all sources: {met}"
 
 
 def short_verdict(sentence: str) -> str:
@@ -90,6 +91,7 @@ class PairErrors:
 # Effect of an error of G on S.
 
 APART = 0.15  # of a pair's error by the mesh: what other pairs do not share
+_STILL = 1e-10  # of the largest singular value: rounding
 _WAVES = 64  # random cosines that make up one perturbation
 
 
@@ -101,6 +103,9 @@ def perturbed(
     Where a source tells what entries do ``together``, one complex factor of unit variance moves them all over the
     band, and :data:`APART` of a pair's error is its own. Noise of other sources is independent over entries, of the
     root mean square that they state for each pair, or with e(f) of the largest of G as its largest entry.
+
+    An actuator out of contact moves the skin through the housing as the others do, or not at all. So it does in every
+    draw: noise would make it one that can be driven.
     """
     usable = np.isfinite(transfer.values) if transfer.valid is None else transfer.valid & np.isfinite(transfer.values)
     scale = np.max(np.abs(transfer.values), axis=(1, 2), where=usable, initial=0)
@@ -117,7 +122,18 @@ def perturbed(
             noise /= np.abs(noise).max(axis=(1, 2), keepdims=True)
             size = relative_error_at(source, transfer.frequency)[:, None, None]
         change += scale[:, None, None] * size * noise
-    return replace(transfer, values=transfer.values + change)
+    return replace(transfer, values=transfer.values + _without_still(transfer.values, change))
+
+
+def _without_still(values: ComplexArray, change: ComplexArray) -> ComplexArray:
+    """``change`` (n, n_out, n_in) without what it does for combinations of inputs that move nothing in G ``values``."""
+    known = np.nan_to_num(values)
+    some = np.linalg.svd(known[len(known) // 2], compute_uv=False)
+    if some[-1] > _STILL * some[0]:  # it is the device's doing, alike at all frequencies
+        return change
+    _, size, rows = np.linalg.svd(known, full_matrices=False)
+    still = rows * (size <= _STILL * size[:, :1])[:, :, None]
+    return np.asarray(change - (change @ still.conj().swapaxes(1, 2)) @ still)
 
 
 def smooth_noise(

@@ -58,17 +58,18 @@ def carried(estimate: ErrorEstimate, frequency: FloatArray, shorter: FloatArray,
     """The ``estimate`` by mesh or ends for other tissues, whose waves are ``shorter`` (n,) at ``frequency`` (n,) [Hz].
 
     It is as large as where waves of the tissues solved for are as short; beyond the band it grows as a power. ``size``
-    (n,) of G weighs frequencies for the band value.
+    (n,) of G weighs frequencies for the band value, in which none errs by more than its G: elements that carry no
+    waves make several times of a G that is small.
     """
     if not estimate.known or not len(estimate.frequency):
         return estimate
     asked = frequency * shorter
     beyond = np.maximum(asked / estimate.frequency[-1], 1.0) ** _MESH
     below = np.maximum(estimate.frequency[0] / asked, 1.0) ** _ENDS
-    error = np.minimum(relative_error_at(estimate, asked) * beyond * below, 1.0)
+    error = relative_error_at(estimate, asked) * beyond * below
     pairs = error_of_pairs(estimate, asked)
     own = relative_error_at(estimate, frequency)
-    grown = np.linalg.norm(size * error) / np.linalg.norm(size * own) if own.any() else 1.0
+    grown = np.linalg.norm(size * np.minimum(error, 1.0)) / np.linalg.norm(size * own) if own.any() else 1.0
     return replace(
         estimate,
         band=float(estimate.band * grown),

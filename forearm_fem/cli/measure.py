@@ -358,6 +358,7 @@ def convert(
     apply_overrides({}, overrides or ())
     asked = None if scenario is None else load_scenario(scenario_file(scenario), overrides=overrides or ())
     from ..files.read import read
+    from ..transfer import error_words
 
     with noted():
         g = read(transfer_file(source), declaration(declare), scenario=asked)
@@ -366,5 +367,5 @@ def convert(
     typer.echo(
         f"{len(g.outputs)} points, {len(g.inputs)} actuators, {len(g.frequency)} frequencies from "
         f"{g.frequency[0]:g} to {g.frequency[-1]:g} Hz, in {g.unit}; {100 * usable.mean():.3g} % of the entries may be "
-        f"used\nG: {target}"
+        f"used; {error_words(g.errors)}\nG: {target}"
     )

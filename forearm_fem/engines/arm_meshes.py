@@ -25,11 +25,11 @@ _PROBED = 20  # frequencies at which the second mesh is asked
 @dataclass(frozen=True, eq=False)
 class ArmMeshes:
     """The ``second`` mesh of the scene as a parametric model, its nodes ``ratio`` times as far apart as the first's,
-    and the ``order`` with which G converges."""
+    and the ``order`` with which G converges (:func:`.order_of`)."""
 
     second: ParametricModel
     ratio: float
-    order: float
+    order: tuple[float, float]
 
     def error(self, arm: Scenario, found: Compliance) -> ErrorEstimate:
         """:meth:`missed` without its shape."""
@@ -77,7 +77,7 @@ class ArmMeshes:
 
     def _error(self, frequency: FloatArray, other: ComplexArray, own: ComplexArray) -> DiscretisationError:
         """Of what points do under contacts (n_frequency, n_point, n_contact), by the rule of a scene's own."""
-        return estimated_errors(other, own, frequency, self.ratio, self.order)
+        return estimated_errors(other, own, frequency, self.ratio, *self.order)
 
 
 def arm_meshes(

@@ -19,7 +19,7 @@ from ..scenario import Scenario
 from ..scenario.model import resolve_tissues
 from ..scenario.sweep import frequencies
 from ..store.record import dims, load
-from ..transfer import Compliance, ErrorEstimate, TransferMatrix, masked
+from ..transfer import Compliance, ErrorEstimate, TransferMatrix, error_words, masked
 from ..typing import FloatArray
 
 __all__ = ["SkinModel", "load_skin_model"]
@@ -32,7 +32,7 @@ _BEYOND_BAND = "not estimated: frequencies lie outside the band that was solved;
 _NOT_AFFINE = "the bulk modulus is not a parameter of the reduced model; solve the scenario anew"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SkinModel:
     """A limb seen through its ports, by the ``reduced`` matrices of the ``scenario`` that was solved: ``reduced.nc``.
 
@@ -50,6 +50,13 @@ class SkinModel:
     poles: Modes | None = None
     core: int = 0
     errors: tuple[ErrorEstimate, ...] = ()
+
+    def __repr__(self) -> str:
+        band = frequencies(self.scenario.sweep)
+        return (
+            f"<SkinModel of '{self.scenario.name}', {len(self.ports)} ports, {band.min():g} to {band.max():g} Hz; as "
+            f"solved {error_words(self.errors)}>"
+        )
 
     @property
     def name(self) -> str:

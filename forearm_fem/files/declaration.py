@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
+import numpy as np
 from pydantic import Field
 
 from ..errors import DataError, MissingExtra
@@ -17,6 +18,7 @@ from ..scenario.base import Part, Positive, UserCode
 from ..scenario.measurement import Quantity
 from ..store.folder import refuse_no_file
 from ..store.text import stand_in, text_of
+from ..transfer import ErrorEstimate, ErrorSource
 
 if TYPE_CHECKING:
     from .reader import RawMatrix
@@ -248,3 +250,22 @@ def port_from(fields: Mapping[str, Any]) -> Port:
     """A port from its fields as JSON holds them (lists for tuples)."""
     plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()}
     return Port(**plain)
+
+
+# Error estimates in a text file: what each source may do to all entries; shares of pairs are netCDF's alone.
+
+_OF_ERROR = ("source", "band", "method", "frequency", "per_frequency")
+
+
+def plain_errors(errors: Iterable[ErrorEstimate]) -> list[dict[str, Any]]:
+    """Each source with e_band and e(f), as JSON holds it; NaN is what could not be estimated."""
+    return [{key: getattr(e, key) for key in _OF_ERROR} for e in errors]
+
+
+def errors_from(fields: Sequence[Mapping[str, Any]]) -> tuple[ErrorEstimate, ...]:
+    """Estimates as :func:`plain_errors` wrote them; DataError for an unknown source and for negative errors."""
+    found = tuple(ErrorEstimate(e["source"], float(e["band"]), *(e[key] for key in _OF_ERROR[2:])) for e in fields)
+    for e in found:
+        if e.source not in get_args(ErrorSource) or np.any(np.array([e.band, *e.per_frequency]) < 0):
+            raise DataError(f"errors: expected sizes from 0 by {', '.join(get_args(ErrorSource))}; export it again")
+    return found

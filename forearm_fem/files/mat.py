@@ -18,7 +18,7 @@ from ..store.record import TIME_CONVENTION, labels, plain_json
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, IntArray
 from .arrays import check_elements
-from .declaration import reading
+from .declaration import errors_from, plain_errors, reading
 
 _NOTE = (
     "G(output, input, bin): bin k has frequency_Hz(k). Bins above sample_rate_Hz/2 are the negative "
@@ -40,8 +40,8 @@ def write_thesis_mat(
 
     ``sample_rate`` [Hz], ``duration`` [s]; without a rate G (n_out, n_in, n_frequency) at its own frequencies, exact.
     Entries of ``transfer`` marked invalid are written as 0 in the first and named in ``valid`` (n_out, n_in, excited
-    positive bin). Error estimates are left out; netCDF has them. Raises DataError where a frequency lies on no bin of
-    1 / duration, or is not within 0 to sample_rate / 2.
+    positive bin). ``errors`` are those by source as JSON, without their shares over pairs, which netCDF has. Raises
+    DataError where a frequency lies on no bin of 1 / duration, or is not within 0 to sample_rate / 2.
     """
     valid = np.ones(transfer.values.shape, dtype=bool) if transfer.valid is None else transfer.valid
     content = {
@@ -49,6 +49,7 @@ def write_thesis_mat(
         "time_convention": TIME_CONVENTION,
         "valid": np.moveaxis(valid, 0, 2),
         "provenance": plain_json(transfer.provenance),
+        "errors": json.dumps(plain_errors(transfer.errors)),
         **_axes("grid", transfer.outputs),
         **_axes("actuator", transfer.inputs),
     }
@@ -106,6 +107,7 @@ def read_thesis_mat(path: str | Path) -> TransferMatrix:
             inputs=_ports(content, "actuator", "contact"),
             unit=str(content["units"][0]),
             valid=None if valid.all() else valid,
+            errors=errors_from(json.loads(str(content["errors"][0]))),
             provenance=json.loads(str(content["provenance"][0])),
         )
 
@@ -124,6 +126,7 @@ def _of_own_frequencies(content: dict[str, Any]) -> TransferMatrix:
         unit=str(content["units"][0]),
         valid=turned("valid").astype(bool) if content["masked"].item() else None,
         deviation=turned("deviation").astype(float) if "deviation" in content else None,
+        errors=errors_from(json.loads(str(content["errors"][0]))),
         provenance=json.loads(str(content["provenance"][0])),
     )
 

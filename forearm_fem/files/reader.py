@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import AccuracyWarning, DataError
 from ..ports import Port
 from ..scenario.measurement import Quantity, parse_unit, to_displacement
-from ..transfer import TransferMatrix
+from ..transfer import ErrorEstimate, TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .declaration import (
     EVERY,
@@ -55,6 +55,7 @@ class RawMatrix:
     inputs: tuple[Port, ...] | None = None
     valid: BoolArray | None = None
     deviation: FloatArray | None = None
+    errors: tuple[ErrorEstimate, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
     names: tuple[tuple[str, ...], tuple[str, ...]] | None = None
     numbered: bool = False
@@ -453,6 +454,7 @@ def _metres(
         unit=unit.si,
         valid=None if usable.all() and raw.valid is None else np.asarray(usable),
         deviation=deviation,
+        errors=raw.errors,
         provenance={"source": "file", "file": raw.name, "declared": said, **gain, **raw.provenance},
     )
 
@@ -485,7 +487,7 @@ def _joined(parts: Sequence[TransferMatrix]) -> TransferMatrix:
     files = [str(p.provenance["file"]) for p in parts]
     return replace(
         parts[0], frequency=frequency, values=values, valid=None if valid.all() else valid, deviation=deviation,
-        provenance={**parts[0].provenance, "file": files[0], "files": files},
+        errors=(), provenance={**parts[0].provenance, "file": files[0], "files": files},
     )  # fmt: skip
 
 

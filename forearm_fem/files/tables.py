@@ -20,7 +20,16 @@ from ..ports import Port
 from ..store.folder import write_bytes
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
-from .declaration import FOI, Declaration, RecognitionWarning, arbitrary_gain, port_from, text_in
+from .declaration import (
+    FOI,
+    Declaration,
+    RecognitionWarning,
+    arbitrary_gain,
+    errors_from,
+    plain_errors,
+    port_from,
+    text_in,
+)
 from .reader import RawMatrix, Reader
 
 _COLUMNS = ("frequency_Hz", "output", "input", "real", "imag", "valid", "deviation")
@@ -52,7 +61,8 @@ _THOUSANDS = re.compile(r"^[+-]?\d{1,3}(?:[.,']\d{3})+(?:[.,]\d+)?$")
 def write_csv(path: str | Path, transfer: TransferMatrix) -> None:
     """One line per frequency, output and input with every digit of G; unit, ports and convention in the first line.
 
-    NaN stands as ``nan``. Error estimates, ``contacts`` and provenance are not carried: netCDF has them.
+    NaN stands as ``nan``. The first line tells the errors by source, too, not how pairs share them; that, ``contacts``
+    and provenance are not carried: netCDF has them.
     DataError for a name of several lines, which could not be read back.
     """
     if broken := [p.name for p in (*transfer.outputs, *transfer.inputs) if len(f"{p.name}.".splitlines()) > 1]:
@@ -64,6 +74,7 @@ def write_csv(path: str | Path, transfer: TransferMatrix) -> None:
         "spectrum": "one-sided",
         "masked": transfer.valid is not None,
         **arbitrary_gain(transfer.provenance),
+        "errors": plain_errors(transfer.errors),
         "outputs": [vars(p) for p in transfer.outputs],
         "inputs": [vars(p) for p in transfer.inputs],
     }
@@ -375,6 +386,7 @@ def _raw(
         inputs=_ports(own.get("inputs")),
         valid=valid if own.get("masked", True) else None,
         deviation=deviation,
+        errors=errors_from(own.get("errors", ())),
         provenance={"format": "CSV", **arbitrary_gain(own)},
     )
 

@@ -142,6 +142,8 @@ class Scenario(Part):
                        "them only at contacts (mesh.size_contact); leave it out")  # fmt: skip
         if isinstance(limb, SlabLimb) and self.grid.direction == "vertical":
             raise idle(["grid.direction"], "a slab's normal is vertical; leave it out")
+        if isinstance(limb, SlabLimb) and self.supports.underside != "free":
+            raise idle(["supports.underside"], "a slab's bottom is a cut end (supports.ends); leave it out")
         tissues, layers = limb_tissues(limb), layer_tissues(limb)
         if unknown := sorted(set(self.mesh.sublayers) - layers):
             raise idle([f"mesh.sublayers.{name}" for name in unknown], "the limb has no such layer; leave it out")

@@ -20,7 +20,7 @@ from ..progress import Progress, tell
 from ..rendering.limits import rim_gaps
 from ..results.draws import DRAWS_FILE, DrawsFile
 from ..store.record import load
-from ..transfer import total_error
+from ..transfer import percent, total_error
 from ..typing import BoolArray, FloatArray
 from .answer import (
     MethodAnswer,
@@ -309,7 +309,7 @@ def devices_block(found: Devices) -> Block:
         rows.append([
             d.name, str(len(d.results.transfer.inputs)), b.method, f"{len(b.focused)} of {b.points}", least,
             _with_interval(found, d), volts, f"{1e3 * d.gap:.1f} mm" if np.isfinite(d.gap) else "unknown",
-            f"{100 * d.error:.2g} %" if np.isfinite(d.error) else "unknown",
+            percent(d.error),
         ])  # fmt: skip
     over = "the points that count in all" if found.shared is not None else "its own points that count"
     note = (f"Mean S over {over}. Drive: the largest of any actuator that moves the target by 1 µm. Clearance: the "

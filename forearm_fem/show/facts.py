@@ -15,7 +15,7 @@ from ..ports import is_thesis_grid
 from ..rendering.limits import beyond_limits, limits_of
 from ..scenario import Scenario
 from ..scenario.device import GridPlaces, Places
-from ..transfer import entry_band_errors, total_error
+from ..transfer import entry_band_errors, percent, total_error
 from ..typing import FloatArray
 from .data import Results
 from .judge import ERRORS, TABLE_ONE, Strengths, spreads, strengths, table_one, table_one_rows
@@ -135,13 +135,6 @@ def errors_block(results: Results) -> Block:
 def capital(text: str) -> str:
     """``text`` with a capital letter first."""
     return text[:1].upper() + text[1:]
-
-
-def percent(share: float) -> str:
-    """E.g. ``2.1 %``, ``below 0.01 %``, ``unknown``."""
-    if not math.isfinite(share):
-        return "unknown"
-    return "below 0.01 %" if share < 1e-4 else f"{100 * share:.2g} %"
 
 
 def accuracy_words(results: Results) -> str:

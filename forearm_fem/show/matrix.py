@@ -93,6 +93,7 @@ def plot_transfer(data: xr.Dataset, *, width: int = PAGE) -> Figure:
     gap = 1e3 * np.linalg.norm(apart, axis=2)
     scale = Normalize(float(gap.min()), float(gap.max()))
     sizes, errors = MICRO * data["size"].values, MICRO * data.error.values
+    unknown = "" if np.isfinite(errors).any() else ", error unknown"
     cycles = unwrapped(data["size"].values * np.exp(1j * data.phase.values))
     for i in range(n):
         top, bottom = axes[2 * (i // beside), i % beside], axes[2 * (i // beside) + 1, i % beside]
@@ -105,7 +106,7 @@ def plot_transfer(data: xr.Dataset, *, width: int = PAGE) -> Figure:
             top.plot(data.frequency, size, color=colour, alpha=0.35, lw=0.8)
             top.plot(data.frequency, np.where(known, size, np.nan), color=colour)
             bottom.plot(data.frequency, cycles[:, o, i], color=colour)
-        top.set(title=f"actuator {data.input.values[i]}", yscale="log")
+        top.set(title=f"actuator {data.input.values[i]}{unknown}", yscale="log")
         if i % beside == 0:
             top.set_ylabel(f"|G| [{micro(data['size'].units)}]")
             bottom.set_ylabel("phase [cycles]")

@@ -24,7 +24,7 @@ from ..progress import Progress, tell
 from ..scenario import Scenario
 from ..scenario.limb import SlabLimb
 from ..store.folder import write_text
-from ..transfer import TransferMatrix, relative_error
+from ..transfer import TransferMatrix, percent, relative_error
 from ..typing import FloatArray
 from . import facts
 from .answer import (
@@ -68,7 +68,7 @@ def write_wave_report(
         blocks.append(Section("waves", "Attenuation and speed by the thesis' estimator (waves.csv)", waves))
     if isinstance(scenario.limb, SlabLimb) and scenario.device.drive == "force":
         blocks.append(Section("layered", "Beside the layered model", _layered(scenario, transfer)))
-    errors = [[ERRORS.get(e.source, (e.source,))[0], facts.percent(e.band), facts.percent(e.worst), e.method]
+    errors = [[ERRORS.get(e.source, (e.source,))[0], percent(e.band), percent(e.worst), e.method]
               for e in transfer.errors]  # fmt: skip
     sections = [
         *blocks,

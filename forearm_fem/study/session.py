@@ -152,6 +152,8 @@ class Session:
     def answer(self, points: Sequence[str], answered: int | None = None) -> None:
         """Record grid points as the answer, on the disk when this returns; DataError for what was not asked.
 
+        Where it cannot be written the trial still waits for it, and ``problem`` says why.
+
         ``answered`` is how many trials were over when the page asked; None where the asker cannot be out of date.
         """
         with self._lock:
@@ -167,7 +169,12 @@ class Session:
                 "presentations": self._presented, "peak_voltage": self._last.peak_voltage, "session": self._number,
                 "date": _today(), **self._columns, **self._facts.get((trial.method, trial.target), {}),
             }  # fmt: skip
-            self._store.add(self.participant, self.task.name, row)
+            try:
+                self._store.add(self.participant, self.task.name, row)
+            except ForearmError as problem:
+                self.problem = str(problem)
+                raise
+            self.problem = ""
             self._answered, self._presented = self._answered + 1, 0
             following = self.current
             if following is None:

@@ -73,7 +73,7 @@ class _Asked:
     parts: tuple[_Part, ...]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ArmLibrary:
     """Answers for any arrangement of discs on the patch of ``scenario``'s limb.
 
@@ -107,6 +107,9 @@ class ArmLibrary:
     reduction: FloatArray = field(metadata=dims("frequency_and_errors checked"))
     missed: FloatArray = field(metadata=dims("checked direction bin"))
     facts: Mapping[str, Any]
+
+    def __repr__(self) -> str:
+        return f"<ArmLibrary of '{self.scenario.name}', {len(self.centres)} loads; each answer states its own error>"
 
     @property
     def mark(self) -> str:

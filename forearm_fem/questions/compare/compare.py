@@ -21,7 +21,7 @@ from ...rendering import Wavelet, bridged, thesis_renderers
 from ...rendering.job import RenderJob, wavelet, wavelet_for
 from ...scenario.rendering import SampledWavelet
 from ...store.text import plain
-from ...transfer import TransferMatrix
+from ...transfer import TransferMatrix, error_words
 from ...typing import ComplexArray, FloatArray
 from .agreement import Agreement, Where, agreement, where
 
@@ -178,6 +178,7 @@ class Comparison:
     distance, None where there are fewer than three distances. ``crossed`` is None with the reason in
     ``not_crossed``. ``notes`` come before all figures: ports that do not lie where their names say, entries that are
     missing, scales that are arbitrary, and what S leaves out. ``where`` says where they differ and the likeliest cause.
+    ``stated`` is what each G states of its own error, in words.
     """
 
     names: tuple[str, str]
@@ -191,6 +192,7 @@ class Comparison:
     where: Where
     not_crossed: str = ""
     notes: tuple[str, ...] = ()
+    stated: tuple[str, str] = ("error unknown", "error unknown")
 
 
 def compare(
@@ -234,6 +236,7 @@ def compare(
         found,
         why,
         tuple(note for note in (*of_scale, *ground.notes, *left_out) if note),
+        (error_words(a.errors), error_words(b.errors)),
     )
 
 
@@ -276,6 +279,7 @@ def comparison_record(c: Comparison) -> dict[str, Any]:
         "unit": g.unit,
         "notes": list(c.notes),
         "cause": c.where.cause,
+        "stated": list(c.stated),
         "where": [
             {"from_Hz": low, "to_Hz": high, "e": [[plain(v) for v in row] for row in error]}
             for (low, high), error in zip(c.where.bands, c.where.error, strict=True)

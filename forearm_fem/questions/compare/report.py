@@ -103,17 +103,18 @@ def console_lines(c: Comparison, folder: Path) -> list[str]:
 
 
 def answer_lines(c: Comparison) -> list[str]:
-    """Answer: distance, where, the likeliest cause, and S of both."""
+    """Answer: distance, where, the likeliest cause, what either states of its own error, and S of both."""
     first, second = c.names
+    stated = f"Of itself {first} states: {c.stated[0]}; {second}: {c.stated[1]}."
     if any(arbitrary_gain(provenance) for provenance in c.ground.provenance):  # sizes mean nothing
         alike = f"{c.agreement.overall_frac:.2f}"
         return [f"{second} and {first} are compared by shape, as a gain is arbitrary: overall FRAC {alike} (1 is the "
-                "same but for a factor).", strength_words(c)]  # fmt: skip
+                "same but for a factor).", stated, strength_words(c)]  # fmt: skip
     size, g = percent(c.agreement.band) if np.isfinite(c.agreement.band) else "an unknown share", c.ground
     over = f" over {g.frequency[0]:g} to {g.frequency[-1]:g} Hz, which both know" if g.only_a or g.only_b else ""
     cause = [f"Likeliest cause: {named(c, c.where.cause)}."] if c.where.cause else []
     place = where_words(c.where, c.ground)
-    return [f"{second} differs from {first} by {size} (e_band){over}. {place}.", *cause, strength_words(c)]
+    return [f"{second} differs from {first} by {size} (e_band){over}. {place}.", *cause, stated, strength_words(c)]
 
 
 def named(c: Comparison, text: str) -> str:

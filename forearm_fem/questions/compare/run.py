@@ -486,7 +486,7 @@ def answering(model: TransferMatrix, data: TransferMatrix) -> TransferMatrix:
         outputs=tuple(model.outputs[r] for r in rows),
         inputs=tuple(model.inputs[c] for c in columns),
         contacts=None if model.contacts is None else model.contacts[:, columns][:, :, columns],
-        errors=(),
+        errors=tuple(replace(e, per_pair=None, together=None) for e in model.errors),
     )
 
 
