@@ -335,7 +335,7 @@ def moments(time: FloatArray, values: FloatArray, row: int) -> FloatArray:
     """Six instants [s] on samples, evenly spaced through the motion: the target's own peak is the fourth, the largest
     motion of any point is among them.
 
-    The step is near a sixth of the span that holds 90 % of the motion, between 0.5 and 3 ms, or as large as it must be.
+    The step is near a sixth of the span that holds 90 % of the motion: 0.5 to 3 ms, or as large as it must be.
     """
     keep = active_span(values, time, share=0.9, least=0.0)
     peak = int(np.argmax(np.abs(np.nan_to_num(values[row]))))

@@ -201,8 +201,9 @@ def plot_conditioning(data: xr.Dataset, *, width: int = PAGE) -> Figure:
 
 @styled
 def plot_entries(transfer: TransferMatrix, *, ax: Axes | None = None) -> Axes:
-    """|G| of all entries over frequency [Hz] in their actuator's colour, grey dots where an entry is marked invalid,
-    and in faint grey one standard deviation.
+    """|G| of all entries over frequency [Hz] in their actuator's colour.
+
+    Grey dots are entries marked invalid, faint grey is one standard deviation.
     """
     ax = single(ax)
     size = np.abs(transfer.values)

@@ -29,6 +29,7 @@ __all__ = ["Motion", "View", "motion"]
 
 MM = 1e3
 NAMED = 25  # points that have room for their names
+_MARGIN = 8  # pixels left around a picture
 _TETRA = 10  # VTK's number of the cell
 _ACTUATOR_HEIGHT, _ACTUATOR_RADIUS = 9.85e-3, 7e-3  # TEAX14C02-8, physics_data.md 4
 _CONE_HEIGHT = 6e-3  # for the drawing only
@@ -179,14 +180,14 @@ def plotter_for(size: tuple[int, int]) -> Iterator[Any]:
         vtkLogger.SetStderrVerbosity(before)
 
 
-def trimmed(picture: Any, margin: int = 8) -> tuple[Any, FloatArray]:
+def trimmed(picture: Any) -> tuple[Any, FloatArray]:
     """``picture`` without its white border, and where (column, row) its corner was."""
     ink = np.any(np.asarray(picture) < 250, axis=2)
     if not ink.any():
         return picture, np.zeros(2)
     rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
-    top, left = max(rows[0] - margin, 0), max(columns[0] - margin, 0)
-    return picture[top : rows[-1] + margin, left : columns[-1] + margin], np.array([left, top], dtype=float)
+    top, left = max(rows[0] - _MARGIN, 0), max(columns[0] - _MARGIN, 0)
+    return picture[top : rows[-1] + _MARGIN, left : columns[-1] + _MARGIN], np.array([left, top], dtype=float)
 
 
 def tissue_colours(names: Sequence[str]) -> list[str]:
@@ -254,6 +255,7 @@ def plot_cutaway(data: xr.Dataset, *, width: int = PAGE) -> Figure:
     axes.set_title(f"{data.vertices:,} vertices, {counts.sum():,} tetrahedra")
     return figure
 
+_AROUND = 0.014  # m: a patch beyond the ports
 _STEEPEST = 0.35  # least n_z of a facet that still counts as volar
 
 
@@ -319,8 +321,8 @@ class NormalField:
         return replace(self, modes=np.einsum("kcr,kc->kr", self.modes[corners], weights))
 
 
-def volar_patch(mesh: TissueMesh, ports: Sequence[Port], margin: float = 0.014) -> VolarPatch:
-    """The patch that reaches ``margin`` [m] beyond ``ports``; DataError if there are no facets."""
+def volar_patch(mesh: TissueMesh, ports: Sequence[Port]) -> VolarPatch:
+    """The patch that reaches 14 mm beyond ``ports``; DataError if there are no facets."""
     facets = mesh.facets["skin"]
     corner = mesh.points[facets]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -329,7 +331,7 @@ def volar_patch(mesh: TissueMesh, ports: Sequence[Port], margin: float = 0.014) 
     normal *= np.sign(np.einsum("ij,ij->i", normal, away))[:, None]
     up = normal[:, 2] > _STEEPEST * np.linalg.norm(normal, axis=1)
     places = positions(tuple(ports))[:, :2]
-    low, high = places.min(axis=0) - margin, places.max(axis=0) + margin
+    low, high = places.min(axis=0) - _AROUND, places.max(axis=0) + _AROUND
     middle = corner.mean(axis=1)[:, :2]
     chosen = up & np.all((middle > low) & (middle < high), axis=1)
     if not chosen.any():

@@ -179,7 +179,7 @@ def run_page(results: Results, progress: Progress | None = None) -> Page:
 
 
 def to_play(results: Results, data: Strengths) -> list[Section]:
-    """What to play on the rig that measured G: the best method's drives, and the others' folded."""
+    """Drives to play on the rig that measured G: the best method's, and the others' folded."""
     if not is_measured(results):
         return []
     best, *others = (a.method for a in method_answers(data))

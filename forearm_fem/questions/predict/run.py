@@ -159,8 +159,9 @@ class Question:
 class Prediction(Manners):
     """S of the scene itself with its numerical interval (``nominal``), and what arms do to it (``draws``).
 
-    ``left_out`` says what the arms' model has not, ``unknown`` what of its error is in no band, ``held`` which inputs
-    kept the scenario's values, ``reused`` how many draws were there before, ``seconds`` what this call took.
+    left_out, unknown : properties that the arms' model has not, and errors of it that are in no band
+    held : inputs that kept the scenario's values
+    reused, seconds : draws that were there before, and the time that this call took
     """
 
     question: Question
