@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from pydantic import Field
@@ -19,9 +18,6 @@ from ..scenario.measurement import Quantity
 from ..store.folder import refuse_no_file
 from ..store.text import stand_in, text_of
 from ..transfer import ErrorEstimate, ErrorSource
-
-if TYPE_CHECKING:
-    from .reader import RawMatrix
 
 _SNIFFED = 1 << 16  # bytes
 
@@ -165,67 +161,9 @@ SWEEPS = frozenset({"drive", "response", "drive_is_measured", "full_scale", "ski
 """Keys of a declaration of raw sweeps alone."""
 
 
-@dataclass(frozen=True)
-class Need:
-    """One thing that a file must say or be told: how to declare it, what ``else`` is common, whether it is open."""
-
-    key: str
-    option: str
-    otherwise: str
-    is_open: Callable[[RawMatrix, Declaration, Ports | None], bool]
-
-
-def _silent(key: str) -> Callable[[RawMatrix, Declaration, Ports | None], bool]:
-    return lambda raw, said, ports: getattr(raw, key) is None and getattr(said, key) is None
-
-
-def _axes_open(raw: RawMatrix, said: Declaration, ports: Ports | None) -> bool:
-    return ports is not None and (raw.axes or said.axes or axes_by_length(raw, *map(len, ports))) is None
-
-
-def _frequency_open(raw: RawMatrix, said: Declaration, ports: Ports | None) -> bool:
-    return raw.frequency is None and said.sample_rate is None
-
-
 def declare(key: str, value: str) -> str:
     """The option that declares ``key``, as it is typed."""
     return f'--declare "{key}={value}"'
-
-
-NEEDS = (
-    Need("unit", declare("unit", "'mm/V'"), "", _silent("unit")),
-    Need("sign", declare("sign", "'+iwt'"), "'-iwt'", _silent("sign")),
-    Need("spectrum", declare("spectrum", "'one-sided'"), "'two-sided'", _silent("spectrum")),
-    Need("axes", declare("axes", "['output', 'input', 'frequency']"), "", _axes_open),
-    Need("sample_rate", declare("sample_rate", "10000"), "frequency_variable or frequency_file", _frequency_open),
-    Need("ports", "--scenario FILE", "", lambda raw, said, ports: ports is None),
-)
-
-
-def unsaid(raw: RawMatrix, said: Declaration, ports: Ports | None) -> str:
-    """Sentence on what neither ``raw`` nor ``said`` says, and what would say it; "" where nothing is open."""
-    return asked([need for need in NEEDS if need.is_open(raw, said, ports)])
-
-
-def asked(needs: list[Need], first: str = "") -> str:
-    """One sentence that asks for all of ``needs``, and for an option ``first``; "" for nothing."""
-    others = ", ".join(need.otherwise for need in needs if need.otherwise)
-    where = "where true" + (f" (else {others})" if others else "")
-    options = [*([first] if first else []), *(need.option for need in needs)]
-    return f"does not say all of itself; add {' '.join(options)} {where}" if options else ""
-
-
-def axes_by_length(raw: RawMatrix, n_out: int, n_in: int) -> tuple[Axis, ...] | None:
-    """Axes told from their lengths; None where these leave a choice."""
-    shape = raw.values.shape
-    n_frequency = max(shape, default=0) if raw.frequency is None else len(raw.frequency)
-    wanted: dict[Axis, int] = {"frequency": n_frequency, "output": n_out, "input": n_in}
-    if n_out == n_in == 1 < n_frequency and sorted(shape) == [1, 1, n_frequency]:  # either way round is the same
-        order: list[Axis] = ["output", "input"]
-        order.insert(shape.index(n_frequency), "frequency")
-        return tuple(order)
-    found: list[Axis] = [a for length in shape for a in wanted if wanted[a] == length]
-    return tuple(found) if len(shape) == len(found) == len(set(found)) == 3 else None
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -28,10 +28,66 @@ from .declaration import (
     RecognitionWarning,
     Sign,
     Spectrum,
-    axes_by_length,
     declare,
-    unsaid,
 )
+
+
+@dataclass(frozen=True)
+class Need:
+    """One thing that a file must say or be told: how to declare it, what ``else`` is common, whether it is open."""
+
+    key: str
+    option: str
+    otherwise: str
+    is_open: Callable[[RawMatrix, Declaration, Ports | None], bool]
+
+
+def _silent(key: str) -> Callable[[RawMatrix, Declaration, Ports | None], bool]:
+    return lambda raw, said, ports: getattr(raw, key) is None and getattr(said, key) is None
+
+
+def _axes_open(raw: RawMatrix, said: Declaration, ports: Ports | None) -> bool:
+    return ports is not None and (raw.axes or said.axes or axes_by_length(raw, *map(len, ports))) is None
+
+
+def _frequency_open(raw: RawMatrix, said: Declaration, ports: Ports | None) -> bool:
+    return raw.frequency is None and said.sample_rate is None
+
+
+NEEDS = (
+    Need("unit", declare("unit", "'mm/V'"), "", _silent("unit")),
+    Need("sign", declare("sign", "'+iwt'"), "'-iwt'", _silent("sign")),
+    Need("spectrum", declare("spectrum", "'one-sided'"), "'two-sided'", _silent("spectrum")),
+    Need("axes", declare("axes", "['output', 'input', 'frequency']"), "", _axes_open),
+    Need("sample_rate", declare("sample_rate", "10000"), "frequency_variable or frequency_file", _frequency_open),
+    Need("ports", "--scenario FILE", "", lambda raw, said, ports: ports is None),
+)
+
+
+def unsaid(raw: RawMatrix, said: Declaration, ports: Ports | None) -> str:
+    """Sentence on what neither ``raw`` nor ``said`` says, and what would say it; "" where nothing is open."""
+    return asked([need for need in NEEDS if need.is_open(raw, said, ports)])
+
+
+def asked(needs: list[Need], first: str = "") -> str:
+    """One sentence that asks for all of ``needs``, and for an option ``first``; "" for nothing."""
+    others = ", ".join(need.otherwise for need in needs if need.otherwise)
+    where = "where true" + (f" (else {others})" if others else "")
+    options = [*([first] if first else []), *(need.option for need in needs)]
+    return f"does not say all of itself; add {' '.join(options)} {where}" if options else ""
+
+
+def axes_by_length(raw: RawMatrix, n_out: int, n_in: int) -> tuple[Axis, ...] | None:
+    """Axes told from their lengths; None where these leave a choice."""
+    shape = raw.values.shape
+    n_frequency = max(shape, default=0) if raw.frequency is None else len(raw.frequency)
+    wanted: dict[Axis, int] = {"frequency": n_frequency, "output": n_out, "input": n_in}
+    if n_out == n_in == 1 < n_frequency and sorted(shape) == [1, 1, n_frequency]:  # either way round is the same
+        order: list[Axis] = ["output", "input"]
+        order.insert(shape.index(n_frequency), "frequency")
+        return tuple(order)
+    found: list[Axis] = [a for length in shape for a in wanted if wanted[a] == length]
+    return tuple(found) if len(shape) == len(found) == len(set(found)) == 3 else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +260,7 @@ def understand(
     """G in metres per drive from what one file holds, or several that make one G, and what is declared about it.
 
     ``ports`` (outputs, inputs) serve where neither the file nor the declaration has any; a file that names its columns
-    is then read by these names (:func:`.naming.placed_by_name`). Raises DataError for all that nobody says at once, and
+    is then read by these names (:func:`placed_by_name`). Raises DataError for all that nobody says at once, and
     where file and declaration contradict each other.
     """
     several = [raws] if isinstance(raws, RawMatrix) else list(raws)
@@ -497,7 +553,7 @@ class Reader:
     """Reader of one kind of file.
 
     ``kind`` names it in sentences, ``endings`` are its files', ``takes`` what may be declared of it beyond
-    :data:`.declaration.EVERY`. What a file must say or be told is in :data:`.declaration.NEEDS`.
+    :data:`.declaration.EVERY`. What a file must say or be told is in :data:`NEEDS`.
     """
 
     kind: ClassVar[str]
