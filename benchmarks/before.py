@@ -74,7 +74,7 @@ def main() -> None:
     homes = HERE.parent, asked.old.resolve()
     with tempfile.TemporaryDirectory() as folder:
         for home in homes:
-            timed(home, HERE.parent / "scenarios" / "quick.toml", 0.3, Path(folder))
+            timed(home, written(asked.scene[0], Path(folder)), max(asked.accuracies), Path(folder))
         for name in asked.scene:
             scene, rows, found = written(name, Path(folder)), list[dict[str, Any]](), list[np.ndarray[Any, Any]]()
             for accuracy in sorted(asked.accuracies, reverse=True):

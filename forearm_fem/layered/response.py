@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 from ..errors import AccuracyWarning
 from ..progress import Progress, tell
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
-from .discs import UPRIGHT, Disc, Galerkin, changed, decay_of, galerkin
+from .discs import UPRIGHT, Disc, Galerkin, decay_of, galerkin
 from .integrals import LOW_LOSS, Integrals, Medium
 from .kernel import Base, Layer, Surface, check_layers
 from .tape import FEWER, Sheet, Tape
@@ -109,7 +109,8 @@ def _interpolated(x: FloatArray, nodes: FloatArray, values: ComplexArray, errors
 _TERMS = (6, 24)  # of the axisymmetric tractions under a rigid disc, least and most
 _SCATTERED = 1e-5  # what the azimuthal orders above those taken may still scatter, by the distances of the discs
 _ORDERS = (2, 6)  # of them, least and most
-_JUDGED, _SLOWEST = 5, 0.7  # frequencies where a sheet's polynomials are; largest ratio of what they leave out
+_JUDGED = 7  # frequencies where a sheet's polynomials are
+_RATIOS, _SLOW = (0.3, 0.75), 3.0  # of what they leave out, least and most; sum of the series of the latter
 
 
 @dataclass(frozen=True)
@@ -196,7 +197,7 @@ def layered_compliance(
     asked[np.ix_(rows, columns)] = True
     kinds = tuple(kind for each in system.kinds() if (kind := each & (asked | asked.T)).any()) or (asked | asked.T,)
     integrals = Integrals(medium, system.table, tolerance)
-    tape = None if sheet is None else Tape(sheet, medium, system, tuple(discs))
+    tape = None if sheet is None else Tape.of(sheet, medium, system, tuple(discs), omega)
     evaluate = _Evaluation(integrals, system, discs, kinds, (rows, columns), judged, expected, progress, tape)
     sharp = bool(np.any(medium.loss(omega) < LOW_LOSS))  # poles near the axis: nothing smooth to follow
     found = (*evaluate(omega), np.zeros(omega.size)) if sharp else sampled(evaluate, omega, tolerance)
@@ -264,8 +265,10 @@ def _missed(evaluate: _Evaluation, omega: FloatArray, values: ComplexArray) -> F
     """What the polynomials of a sheet leave out (n_freq,), relative to the largest entry among the driving discs, or
     elsewhere, where that is more.
 
-    The geometric series that leaving out the last two degrees along each side begins, and the two before those, at a
-    few frequencies; between these the larger counts.
+    From what the last two degrees along each side change, and the two before those, at a few frequencies; between
+    these the larger counts. Once polynomials resolve a wave, each two leave out a smaller share of what those before
+    did, and the geometric series of these changes holds the rest. What contacts beside the edges excite falls slowly:
+    it is alike at all frequencies, so that the least of the changes shows its size.
     """
     tape = evaluate.tape
     assert tape is not None
@@ -277,10 +280,13 @@ def _missed(evaluate: _Evaluation, omega: FloatArray, values: ComplexArray) -> F
         less = replace(evaluate, tape=replace(tape, count=count), every=omega.size, progress=None)
         found.append(less(at)[0])
     driving = np.isin(evaluate.asked[0], evaluate.asked[1])
-    kinds = [np.repeat(kind[:, None], values.shape[2], axis=1) for kind in (driving, ~driving) if kind.any()]
-    last, before = (changed(more, less, kinds) for more, less in pairwise(found))
-    ratio = np.minimum(_SLOWEST, last / np.maximum(before, 1e-300))
-    missed = last * ratio / (1 - ratio)
+    missed = np.zeros(some.size)
+    for kind in (driving, ~driving):
+        if kind.any():
+            size = np.abs(found[0])[:, kind].max(axis=(1, 2))
+            last, before = (np.abs(more - less)[:, kind].max(axis=(1, 2)) for more, less in pairwise(found))
+            ratio = np.clip(last / np.maximum(before, 1e-300), *_RATIOS)
+            missed = np.maximum(missed, np.maximum(last * ratio / (1 - ratio), _SLOW * last.min()) / size)
     above = np.clip(np.searchsorted(some, np.arange(omega.size)), 0, some.size - 1)
     out = np.empty(omega.size)
     out[rising] = np.maximum(missed[above], missed[np.maximum(above - 1, 0)])

@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 from numpy.polynomial import legendre
 
-from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
+from ..typing import ComplexArray, FloatArray, IntArray
 from .discs import Component, Disc, Galerkin, Traction
 from .hankel import Radial, bessels, transforms
 from .integrals import Medium, product
@@ -32,9 +32,11 @@ from .kernel import surface_compliance
 # Integrals over directions depend on places alone and are kept; over k the kernel is interpolated on panels, as in
 # :mod:`.integrals`. Parity in x and in y parts C in four. Contacts may stand on the sheet.
 
-DEGREES = 14  # polynomials along each side
+_COUNTS = (14, 18, 22)  # polynomials along each side: least, of integrals that are kept, most
 FEWER = 2  # polynomials less show what is left out
-_FIRST, _RATIO, _WIDEST, _END = 8.0, 0.2, 512.0, 2.0**13  # [1/m] first panel, others' width over k, widest, end
+_BEYOND = 6  # polynomials more than resolve the shortest waves: pi for each along the longer side
+_FIRST, _RATIO = 8.0, 0.2  # [1/m] first panel, others' width over k
+_END = 1.6  # k times half the shorter side where panels end, over count^2: products of polynomials fall from there
 _NODES = 10  # of a panel
 _X, _W = legendre.leggauss(_NODES)
 Parity = tuple[int, int]
@@ -65,10 +67,16 @@ def _components(sector: Parity) -> tuple[Parity, Parity, Parity]:
 
 
 @lru_cache(maxsize=64)
-def _degrees(parity: Parity, count: int = DEGREES) -> tuple[IntArray, IntArray]:
-    """Degrees p and q below ``count`` of one parity along x and y."""
+def _degrees(parity: Parity, count: int) -> tuple[IntArray, IntArray]:
+    """Degrees p and q below ``count`` of one parity along x and y; those below fewer come first."""
     p, q = np.meshgrid(np.arange(parity[0], count, 2), np.arange(parity[1], count, 2), indexing="ij")
-    return p.ravel(), q.ravel()
+    order = np.argsort((np.maximum(p, q) // 2).ravel(), kind="stable")
+    return p.ravel()[order], q.ravel()[order]
+
+
+def _size(parity: Parity, count: int) -> int:
+    """How many these are."""
+    return len(_degrees(parity, count)[0])
 
 
 # What lies between two components of the skin's motion: the power of cos and sin of the wave's direction
@@ -81,18 +89,19 @@ _BETWEEN: Mapping[str, Callable[[FloatArray, FloatArray], FloatArray]] = Mapping
 Key = tuple[Parity, Parity, str]
 
 
-@lru_cache(maxsize=1)
-def _panels() -> tuple[tuple[float, float], ...]:
+@lru_cache(maxsize=4)
+def _panels(half: float, count: int) -> tuple[tuple[float, float], ...]:
+    """For ``count`` polynomials over a side of twice ``half`` [m]."""
     edges = [0.0, _FIRST]
-    while edges[-1] < _END:
-        edges.append(edges[-1] + min(max(_RATIO * edges[-1], _FIRST), _WIDEST))
+    while edges[-1] < _END * count**2 / half:
+        edges.append(edges[-1] + max(_RATIO * edges[-1], _FIRST))
     return tuple(pairwise(edges))
 
 
-@lru_cache(maxsize=1)
-def _nodes() -> FloatArray:
+@lru_cache(maxsize=4)
+def _nodes(half: float, count: int) -> FloatArray:
     """k (n,) [1/m] of all panels."""
-    return np.concatenate([0.5 * (lo + hi) + 0.5 * (hi - lo) * _X for lo, hi in _panels()])
+    return np.concatenate([0.5 * (lo + hi) + 0.5 * (hi - lo) * _X for lo, hi in _panels(half, count)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,65 +116,56 @@ class _Rays:
     shapes: Mapping[Parity, FloatArray]
 
 
-def _rays(panel: tuple[float, float], a: float, b: float, extent: float, orders: int) -> _Rays:
+def _rays(panel: tuple[float, float], a: float, b: float, count: int, extent: float, orders: int) -> _Rays:
     """Enough for integrands that oscillate over ``extent`` [m], and e^{i orders phi}."""
     lo, hi = panel
     x, w = legendre.leggauss(_NODES + math.ceil(0.5 * (hi - lo) * extent) + 8)
     k = 0.5 * (lo + hi) + 0.5 * (hi - lo) * x
     to = (np.arange(_NODES)[:, None] + 0.5) * legendre.legvander(_X, _NODES - 1).T * _W
     share = np.asarray((legendre.legvander(x, _NODES - 1) @ to).T * (0.5 * (hi - lo) * w))
-    n = math.ceil((hi * extent + 2 * DEGREES + orders + 20) / 4) + 4  # midpoint rule: exact beyond the highest rate
+    n = math.ceil((hi * extent + 2 * count + orders + 20) / 4) + 4  # midpoint rule: exact beyond the highest rate
     phi = np.asarray((np.arange(n) + 0.5) * (0.5 * np.pi / n), dtype=float)
     along, across = (
-        np.array(bessels(DEGREES - 1, np.multiply.outer(k, side))) for side in (a * np.cos(phi), b * np.sin(phi))
+        np.array(bessels(count - 1, np.multiply.outer(k, side))) for side in (a * np.cos(phi), b * np.sin(phi))
     )
-    degrees = {parity: _degrees(parity) for parity in _SECTORS}
+    degrees = {parity: _degrees(parity, count) for parity in _SECTORS}
     shapes = {parity: np.asarray(np.moveaxis(along[p] * across[q], 0, 2).real) for parity, (p, q) in degrees.items()}
     return _Rays(k, share, phi, 0.5 * np.pi / n / (4 * np.pi**2), shapes)
 
 
-@lru_cache(maxsize=1)  # some 150 MB
-def _under(a: float, b: float) -> Mapping[Key, FloatArray]:
-    """Weights (nodes of all panels, f, f) of kernels k U for the skin's compliance between tractions; the last of them
-    is that of its limit beyond, where integrands fall as (c log k + d)/k^2 but for oscillations: from two octaves."""
+@lru_cache(maxsize=len(_COUNTS))  # 70 MB of 14 polynomials, 500 MB of 22
+def _under(a: float, b: float, count: int) -> Mapping[Key, FloatArray]:
+    """Weights (nodes of all panels, f, f) of kernels k U for the skin's compliance between tractions, in single
+    precision; the last of them is that of its limit beyond, where integrands fall as (c log k + d)/k^2 but for
+    oscillations: from two octaves."""
     keys = dict.fromkeys(key for sector in _SECTORS for key in _keys(sector))
     parts: dict[Key, list[FloatArray]] = {key: [] for key in keys}
-    for panel in _panels():
-        rays = _rays(panel, a, b, 2 * math.hypot(a, b), 0)
+    panels = _panels(min(a, b), count)
+    for panel in panels:
+        rays = _rays(panel, a, b, count, 2 * math.hypot(a, b), 0)
         c, s = np.cos(rays.phi), np.sin(rays.phi)
+        shapes = {parity: shape.astype(np.float32) for parity, shape in rays.shapes.items()}
         for key, found in parts.items():
             one, other, kind = key
-            (p, q), (r, t) = _degrees(one), _degrees(other)
+            (p, q), (r, t) = _degrees(one, count), _degrees(other, count)
             # of the conjugate i^(p + q), of the other (-i)^(r + t), and i between z and x or y
             turns = (p + q)[:, None] - (r + t)[None] + (kind in ("cos", "sin"))
-            weighted = rays.shapes[one] * _BETWEEN[kind](c, s)[:, None]
-            each = np.matmul(weighted.swapaxes(1, 2), rays.shapes[other])
+            weighted = shapes[one] * _BETWEEN[kind](c, s)[:, None].astype(np.float32)
+            each = np.matmul(weighted.swapaxes(1, 2), shapes[other])
             sign = np.real(1j ** (turns % 4))
             found.append(np.tensordot(rays.share, each, axes=1) * (4 * rays.step * sign))
-    top = np.array([hi for _, hi in _panels()])
+    top = np.array([hi for _, hi in panels])
     end, low = top[-1], [int(np.argmin(np.abs(top - top[-1] * share))) for share in (0.25, 0.5)]
     ends = [top[low[0]], top[low[1]], end]
     solved = np.linalg.inv([[_beyond(lo, power) - _beyond(hi, power) for power in (1, 0)]
                             for lo, hi in pairwise(ends)])  # fmt: skip
-    whole = {}
+    whole: dict[Key, FloatArray] = {}
     for key, found in parts.items():
         octaves = [np.sum(found[i + 1 : j + 1], axis=(0, 1)) for i, j in zip(low, (low[1], len(top) - 1), strict=True)]
         c, d = np.tensordot(solved, np.array(octaves), axes=1)
-        whole[key] = np.concatenate([*found, (c * _beyond(end, 1) + d * _beyond(end, 0))[None]])
+        limit = c * _beyond(end, 1) + d * _beyond(end, 0)
+        whole[key] = np.concatenate([*found, limit[None]], dtype=np.float32)
     return MappingProxyType(whole)
-
-
-def _kept(parity: Parity, count: int) -> BoolArray:
-    """Which of all functions of one parity are of degrees below ``count``."""
-    p, q = _degrees(parity)
-    return np.asarray((p < count) & (q < count))
-
-
-@lru_cache(maxsize=3)
-def _fewer_under(a: float, b: float, count: int) -> Mapping[Key, FloatArray]:
-    """:func:`_under` of degrees below ``count``."""
-    found = {key: w[:, _kept(key[0], count)][:, :, _kept(key[1], count)] for key, w in _under(a, b).items()}
-    return MappingProxyType({key: np.ascontiguousarray(w) for key, w in found.items()})
 
 
 def _beyond(k: float, power: int) -> float:
@@ -181,24 +181,27 @@ def _keys(sector: Parity) -> tuple[Key, ...]:
 
 
 @lru_cache(maxsize=32)
-def _towards(a: float, b: float, x: float, y: float, orders: int) -> Mapping[tuple[int, Parity], ComplexArray]:
+def _towards(
+    a: float, b: float, count: int, x: float, y: float, orders: int
+) -> Mapping[tuple[int, Parity], ComplexArray]:
     """Weights (nodes of all panels, f) of k U g for order m of a contact at (x, y), x, y >= 0, by m and parity."""
     found: dict[tuple[int, Parity], list[ComplexArray]] = {}
-    for panel in _panels():
-        rays = _rays(panel, a, b, math.hypot(x + a, y + b), orders)
+    for panel in _panels(min(a, b), count):
+        rays = _rays(panel, a, b, count, math.hypot(x + a, y + b), orders)
         kx = np.multiply.outer(rays.k, x * np.cos(rays.phi))
         ky = np.multiply.outer(rays.k, y * np.sin(rays.phi))
         outward, mirrored = np.exp(1j * (kx + ky)), np.exp(1j * (ky - kx))
         images = ((rays.phi, (1, 1), outward), (np.pi - rays.phi, (-1, 1), mirrored),
                   (-rays.phi, (1, -1), mirrored.conj()), (np.pi + rays.phi, (-1, -1), outward.conj()))  # fmt: skip
         for parity, shape in rays.shapes.items():
-            p, q = _degrees(parity)
+            p, q = _degrees(parity, count)
             phase = (-1j) ** (p + q) * rays.step
-            for m in range(-orders, orders + 1):
-                wave = sum(sx ** parity[0] * sy ** parity[1] * np.exp(1j * m * turned) * e
-                           for turned, (sx, sy), e in images)  # fmt: skip
-                each = np.matmul(np.asarray(wave)[:, None], shape)[:, 0]
-                found.setdefault((m, parity), []).append((rays.share @ each) * phase)
+            waves = [sum(sx ** parity[0] * sy ** parity[1] * np.exp(1j * m * turned) * e
+                         for turned, (sx, sy), e in images) for m in range(-orders, orders + 1)]  # fmt: skip
+            both = np.matmul(np.stack([*np.real(waves), *np.imag(waves)], axis=1), shape)
+            each = both[:, : len(waves)] + 1j * both[:, len(waves) :]
+            for m, one in zip(range(-orders, orders + 1), np.moveaxis(each, 1, 0), strict=True):
+                found.setdefault((m, parity), []).append((rays.share @ one) * phase)
     return MappingProxyType({key: np.concatenate(parts) for key, parts in found.items()})
 
 
@@ -216,8 +219,9 @@ def _along(half: float, count: int) -> Mapping[str, FloatArray]:
 
 
 @lru_cache(maxsize=16)
-def _stiffness(a: float, b: float, count: int, sector: Parity) -> tuple[FloatArray, ...]:
-    """Per membrane [N/m], bending [N m] and mass [kg/m^2] the stiffness kappa (f, f) of a sector, and B^-1."""
+def _stiffness(a: float, b: float, count: int, sector: Parity) -> tuple[tuple[FloatArray, ...], FloatArray]:
+    """The stiffness kappa of a sector per membrane [N/m] and mass [kg/m^2] along the skin, per bending [N m] and mass
+    along z, which have nothing to do with each other; and B^-1 (f, f)."""
     along, across = _along(a, count), _along(b, count)
     sides = [_degrees(parity, count) for parity in _components(sector)]
     at = np.cumsum([0, *(len(p) for p, _ in sides)])
@@ -240,7 +244,30 @@ def _stiffness(a: float, b: float, count: int, sector: Parity) -> tuple[FloatArr
     for i, mine in enumerate(own):
         mass[mine, mine], work[mine, mine] = block(i, i, "00", "00"), block(i, i, "B", "B")
     inverse = np.linalg.inv(work)
-    return *(inverse.T @ m @ inverse for m in (membrane, bending, mass)), inverse
+    flat, upright = slice(at[2]), slice(at[2], None)
+    parts = (membrane, flat), (mass, flat), (bending, upright), (mass, upright)
+    return tuple(inverse[part, part].T @ m[part, part] @ inverse[part, part] for m, part in parts), inverse
+
+
+def degrees_of(sheet: Sheet, medium: Medium, omega: FloatArray) -> int:
+    """Polynomials along each side: as resolve the waves that bend skin and sheet most at the highest frequency, and a
+    few more, of which each two leave out a half to an eighth of what those before did."""
+    k, top = np.linspace(_FIRST, 2 * _COUNTS[-1] / min(sheet.length, sheet.width), 200), omega.max(keepdims=True)
+    u = surface_compliance(k[None], top[:, None], medium.layers, medium.base, medium.surface)
+    held = (u.zz - u.zx**2 / u.xx)[0]  # nothing moves along the skin
+    moved = np.abs(held / (1 + held * (sheet.bending * k**4 - top**2 * sheet.mass)))
+    waves = float(k[np.argmax(moved)]) * max(sheet.length, sheet.width) / 2
+    return min(max(2 * math.ceil((waves + _BEYOND) / 2), _COUNTS[0]), _COUNTS[-1])
+
+
+def _times(kappas: Sequence[FloatArray | ComplexArray], m: ComplexArray) -> ComplexArray:
+    """kappa @ m, of which ``kappas`` are the blocks on the diagonal, without a complex copy of real ones."""
+    out, start = np.empty_like(m), 0
+    for kappa in kappas:
+        own = slice(start, start := start + kappa.shape[-1])
+        part = m[:, own]
+        out[:, own] = kappa @ part if np.iscomplexobj(kappa) else kappa @ part.real + 1j * (kappa @ part.imag)
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +278,14 @@ class Tape:
     medium: Medium
     system: Galerkin
     discs: Sequence[Disc]
-    count: int = DEGREES
+    count: int
+    top: int
+
+    @classmethod
+    def of(cls, sheet: Sheet, medium: Medium, system: Galerkin, discs: Sequence[Disc], omega: FloatArray) -> Self:
+        """With as many polynomials as the waves of ``omega`` ask for."""
+        count = degrees_of(sheet, medium, omega)
+        return cls(sheet, medium, system, discs, count, min(top for top in _COUNTS if top >= count))
 
     @property
     def _halves(self) -> tuple[float, float]:
@@ -271,22 +305,26 @@ class Tape:
     def applied(self, bare: ComplexArray, omega: FloatArray) -> ComplexArray:
         """A' (n_freq, n, n) from A of ``bare`` skin."""
         out, others, riding = bare.copy(), self._others, self._riding
-        k = _nodes()
+        k = _nodes(min(self._halves), self.top)
         u = surface_compliance(k[None], omega[:, None], self.medium.layers, self.medium.base, self.medium.surface)
         kernels = [k * each for each in (u.zz, u.zx, 0.5 * (u.xx + u.yy), 0.5 * (u.xx - u.yy))]
         rows = self._rows(kernels)
-        kernels = [np.concatenate([each, limit[:, None]], axis=1)
+        kernels = [np.concatenate([each, limit[:, None]], axis=1).astype(np.complex64)
                    for each, limit in zip(kernels, self.medium.limits(omega), strict=True)]  # fmt: skip
         known: dict[tuple[int, Key], ComplexArray] = {}
         cores, images, left = [], self._images, self._left(omega)
         out[:, riding[:, None], others] *= left[:, :, None]
+        loss, inertia = self.sheet.viscosity, omega**2 * self.sheet.mass
+        in_plane = self.sheet.membrane + 1j * omega * loss if loss else np.full(omega.size, self.sheet.membrane)
         for sector in _SECTORS:
-            membrane, bending, mass, inverse = _stiffness(*self._halves, self.count, sector)
-            in_plane = self.sheet.membrane + 1j * omega * self.sheet.viscosity
-            kappa = np.multiply.outer(in_plane, membrane) + self.sheet.bending * bending
-            kappa -= np.multiply.outer(omega**2 * self.sheet.mass, mass)
+            (membrane, along, bending, upright), inverse = _stiffness(*self._halves, self.count, sector)
+            kappas = (np.multiply.outer(in_plane, membrane) - np.multiply.outer(inertia, along),
+                      self.sheet.bending * bending - np.multiply.outer(inertia, upright))  # fmt: skip
             c, h = self._skin(kernels, sector, known), rows[sector]
-            held = np.linalg.solve(np.eye(c.shape[1]) + kappa @ c, kappa @ h.swapaxes(1, 2))  # Y H^T, Y symmetric
+            resisted, loaded = (_times(kappas, m) for m in (c, h.swapaxes(1, 2)))
+            every = np.arange(c.shape[1])
+            resisted[:, every, every] += 1
+            held = np.linalg.solve(resisted, loaded)  # Y H^T, Y symmetric
             cores.append(h @ held)
             if riding.size:
                 to, free = self._moved(sector) @ inverse, h.swapaxes(1, 2)
@@ -300,14 +338,14 @@ class Tape:
         self, kernels: Sequence[ComplexArray], sector: Parity, known: dict[tuple[int, Key], ComplexArray]
     ) -> ComplexArray:
         """C (n_freq, f, f) of a sector: half sum and half difference along and across waves meet in x and y."""
-        weights = _fewer_under(*self._halves, self.count)
+        weights = _under(*self._halves, self.top)
 
         def of(kernel: int, key: Key) -> ComplexArray:
             """Integral of a kernel with the weights of ``key``."""
             if (kernel, key) not in known:  # along x in one sector is along y in another
-                each = weights[key]
+                each = weights[key][:, : _size(key[0], self.count), : _size(key[1], self.count)]
                 found = product(kernels[kernel], each.reshape(len(each), -1))
-                known[kernel, key] = found.reshape(-1, *each.shape[1:])
+                known[kernel, key] = found.reshape(-1, *each.shape[1:]).astype(complex)
             return known[kernel, key]
 
         def turned(m: ComplexArray) -> ComplexArray:
@@ -353,7 +391,7 @@ class Tape:
         """H (n_freq, images, f) of each sector, rings freed of their net force and moment, as in A."""
         images, known = self._images, dict[tuple[int, Radial, float, float, int, Parity], ComplexArray]()
         radials = tuple(dict.fromkeys(t.radial for t, _, _ in images.distinct))
-        transform = dict(zip(radials, transforms(radials, _nodes()).T, strict=True))
+        transform = dict(zip(radials, transforms(radials, _nodes(min(self._halves), self.top)).T, strict=True))
         orders = max(abs(t.m) for t, _, _ in images.distinct) + 2
 
         seen: dict[tuple[int, Radial], ComplexArray] = {}
@@ -364,8 +402,8 @@ class Tape:
             if key not in known:
                 if key[:2] not in seen:
                     seen[key[:2]] = kernels[kernel] * transform[traction.radial]
-                weights = _towards(*self._halves, x, y, orders)[m, parity]
-                known[key] = (seen[key[:2]] @ weights)[:, _kept(parity, self.count)]
+                weights = _towards(*self._halves, self.top, x, y, orders)[m, parity]
+                known[key] = seen[key[:2]] @ weights[:, : _size(parity, self.count)]
             return known[key]
 
         place = {int(i): number for i, number in zip(self._others, images.number.tolist(), strict=True)}
