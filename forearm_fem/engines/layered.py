@@ -28,6 +28,8 @@ from ..store.shelf import Shelf
 from ..transfer import Compliance
 from ..typing import ComplexArray, FloatArray
 
+__all__ = ["LayeredEngine", "solve_layered"]
+
 # The semi-analytic engine: the same ports on flat layers without end, by the same rules of placement.
 
 _TOLERANCE = 1e-7  # of the quadrature and of the interpolation in frequency: far below what rigid contacts leave

@@ -25,6 +25,8 @@ from ...transfer import Compliance, ErrorEstimate, TransferMatrix, finite
 from ...typing import ComplexArray, FloatArray, IntArray
 from .field import MARGIN, Field, Surface, net_faces, packed, profile
 
+__all__ = ["CLOSEST", "Anywhere", "anywhere_of", "packed_anywhere"]
+
 CLOSEST = 3.0  # radii between the middles of two discs: nearer, the tables' two azimuthal orders miss 3 % and more
 _ROUND = 0.01  # [m] to which tables reach, so that one serves alike devices
 _CHANNELS = (2, 2, 1)  # of azimuthal order 0, 1 and 2, besides the force: leaves out 1e-3 of G, twice as many 5e-4
