@@ -95,6 +95,7 @@ def test_the_run_s_own_answers_carry_its_errors(solved):
     model = load_skin_model(folder / "reduced.nc")
     found = {e.source: e.band for e in model.transfer(transfer.frequency).errors}
     assert found == pytest.approx({e.source: e.band for e in transfer.errors}, nan_ok=True)
+    assert {"linear solve", "reduction"} <= {e for e, band in found.items() if band > 0}  # what is zero is no estimate
     assert repr(model) == "<SkinModel of 'small', 2 ports, 40 to 400 Hz; as solved error unknown>"  # one mesh alone
     with pytest.warns(AccuracyWarning):
         beyond = model.transfer(np.array([100.0, 900.0]), model.scenario.changed(STIFFER))

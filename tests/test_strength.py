@@ -202,11 +202,11 @@ def test_the_interval_of_errors_that_tell_entries_apart_or_together_is_narrower_
 def test_errors_of_pairs_are_raised_with_e_f_to_the_band_value_and_fall_where_meshes_differ_much():
     pairs = np.array([[[0.01, 0.002]], [[0.05, 0.04]]])
     alone = replace(MESH, per_pair=pairs)
-    for error, share in ((alone, 1.0), (replace(alone, together=1j * pairs), 1 / 1.12)):
+    for error, share in ((alone, 1.0), (replace(alone, together=1j * pairs), 1 / 1.06)):
         drawn = as_drawn(error, np.array([10.0, 500.0]))
         assert drawn.per_frequency == pytest.approx(share * np.array([0.03, 0.05]))
         assert drawn.per_pair == pytest.approx(share * np.array([[[0.03, 0.006]], [[0.05, 0.04]]]))
-    assert drawn.together == pytest.approx(1j * pairs / 1.12)
+    assert drawn.together == pytest.approx(1j * pairs / 1.06)
 
 
 def test_the_interval_grows_with_the_error_and_hears_every_source():

@@ -39,13 +39,14 @@ class DiscretisationError:
 
 def order_of(scenario: Scenario) -> tuple[float, float]:
     """Order with which G of ``scenario`` converges, and the change beyond which it grows: on slabs :data:`FAR_OFF`, but
-    not where second order ends beside a disc.
+    not where second order ends beside a disc or lies under a rigid one.
 
     The order is the lowest on a mesh of the user's, whose element pair changes in place of its sizes.
     """
     far_off = FAR_OFF if isinstance(scenario.limb, SlabLimb) else math.inf
     if scenario.element not in ("P2/P3", "P3") or isinstance(scenario.limb, MeshLimb):
-        return SECOND_ORDER, math.inf if scenario.beside_discs else far_off
+        rigid = scenario.device.cone.contact in RIGID
+        return SECOND_ORDER, math.inf if rigid or scenario.beside_discs else far_off
     if not isinstance(scenario.limb, SlabLimb):
         return THIRD_ROUGH, far_off
     device, reach = scenario.device, scenario.device.cone.radius + BESIDE

@@ -152,7 +152,7 @@ _CORRELATION = 50.0  # Hz: errors of meshes and ends are smooth over about that 
 # rms changes of log S: 9 of 10 true errors lie within for errors as they are stated, which is more than they are
 # (decision 0027); a measurement's random ones are as large as its deviation says
 _HALF_WIDTH, _OF_RANDOM = 1.5, 2.0
-_LOST = 4.0  # by how much the statement of two meshes outgrows their error, per e_band
+_LOST = 2.0  # by how much the statement of two meshes outgrows their error, per e_band
 _RANDOM_ONLY = "the interval of S holds the random error of G (its deviation) alone: no systematic one is stated"
 _MOST_WITHOUT = 0.5  # of the values: with fewer deviations than that the random error is unknown
 _LEAST_SPAN = 4.0  # of the window: the record that draws are made on
@@ -397,9 +397,9 @@ def interval(
 
 def as_drawn(error: ErrorEstimate, frequency: FloatArray) -> ErrorEstimate:
     """The estimate by two meshes at ``frequency`` (n,) [Hz]: e(f) raised to its band value, as they agree by chance;
-    where it tells what entries do together, all of it over 1 + 4 e_band.
+    where it tells what entries do together, all of it over 1 + 2 e_band.
 
-    Where the two differ much, the coarser one carries no waves: what is stated is then 2.3 to 4.2 times the error.
+    Where the two differ much, the coarser one carries no waves: what is stated is then 1.4 to 2.6 times the error.
     """
     share = 1.0 if error.together is None else 1 / (1 + _LOST * error.band)
     own = relative_error_at(error, frequency)

@@ -58,20 +58,22 @@ def thread_count() -> int:
 
 
 def in_threads(work: Callable[[Thing], Result], things: Sequence[Thing]) -> list[Result]:
-    """Results of ``work`` on each of the ``things``, which must leave Python's lock; BLAS has one thread meanwhile.
-
-    Where there is one thing or one thread the work is done here, with what BLAS has.
-    """
+    """Results of ``work`` on each of the ``things``, which must leave Python's lock; BLAS has one thread meanwhile."""
     count = thread_count()
-    if min(count, len(things)) < 2:
-        return [work(thing) for thing in things]
-    with one_blas_thread(), ThreadPoolExecutor(count) as pool:
-        return list(pool.map(work, things))
+    with one_blas_thread():
+        if min(count, len(things)) < 2:
+            return [work(thing) for thing in things]
+        with ThreadPoolExecutor(count) as pool:
+            return list(pool.map(work, things))
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """BLAS has one thread meanwhile."""
+    """BLAS has one thread meanwhile.
+
+    OpenBLAS's other threads wait for work by spinning. On matrices of some hundred rows that takes more of the cores
+    than they give.
+    """
     with _blas(len(sys.modules)).limit(limits=1):
         yield
 

@@ -38,6 +38,7 @@ from ..assembly.coefficients import (
 from ..assembly.model import ForearmModel
 from ..assembly.operator import AffineOperator
 from ..assembly.thickness import follows_thickness
+from ..kernels.compiled import in_threads, one_blas_thread
 from .basis import Basis, Columns, inverse_or_zero, orthonormal_extension, real_columns
 from .rational import chebyshev_frequencies
 
@@ -166,11 +167,16 @@ class AffineReduced:
         """Reduced solutions (n_frequency, r, n_port) for a unit force on each port."""
         omega = 2 * np.pi * np.asarray(frequency, dtype=float)
         sums = grouped(self.coefficients)
-        flat = np.array([self.combined(weights).ravel() for weights, _ in sums])
+        with one_blas_thread():
+            flat = np.array([self.combined(weights).ravel() for weights, _ in sums])
         theta = np.array([np.broadcast_to(c.at(omega), omega.shape) for _, c in sums])
         right = self.functionals.astype(complex)
-        rows = [np.linalg.solve(combined(w, flat).reshape(self.size, self.size), right) for w in theta.T]
-        return np.array(rows)
+
+        def solved(weights: ComplexArray) -> ComplexArray:
+            """Solutions (r, n_port) at one frequency."""
+            return np.asarray(np.linalg.solve(combined(weights, flat).reshape(self.size, self.size), right))
+
+        return np.array(in_threads(solved, list(theta.T)))
 
     def modes(self, frequency: FloatArray = _BAND) -> Modes | None:
         """Diagonalised pencil, or None where a modulus is not Kelvin-Voigt or the diagonalisation is inaccurate.
@@ -181,6 +187,15 @@ class AffineReduced:
         """
         if not all(is_polynomial(c) for c in self.coefficients):
             return None
+        result = self._diagonalised()
+        probes = frequency[np.unique(np.linspace(0, len(frequency) - 1, _PROBES).astype(int))]
+        exact, fast = self.compliance(probes), result.compliance(probes)
+        off, scale = np.nanmax(np.abs(exact - fast), axis=(1, 2)), np.nanmax(np.abs(exact), axis=(1, 2))
+        return result if np.all(off < 1e-8 * scale) else None
+
+    @one_blas_thread()
+    def _diagonalised(self) -> Modes:
+        """Poles and residues, unchecked."""
         taylor = np.array([c.taylor(0.0, 2) for c in self.coefficients])
         stiffness, damping, mass = (self.combined(w) for w in polynomial_weights(taylor))
         r, functionals = self.size, self.functionals
@@ -191,11 +206,7 @@ class AffineReduced:
         values, vectors = scipy.linalg.eig(companion)
         source = np.vstack([np.zeros_like(functionals), np.linalg.solve(mass, functionals) / rate**2])
         shapes, right = vectors[:r], np.linalg.solve(vectors, source) * rate
-        result = Modes(values * rate, functionals.T @ shapes, right, self.shares, shapes)
-        probes = frequency[np.unique(np.linspace(0, len(frequency) - 1, _PROBES).astype(int))]
-        exact, fast = self.compliance(probes), result.compliance(probes)
-        off, scale = np.nanmax(np.abs(exact - fast), axis=(1, 2)), np.nanmax(np.abs(exact), axis=(1, 2))
-        return result if np.all(off < 1e-8 * scale) else None
+        return Modes(values * rate, functionals.T @ shapes, right, self.shares, shapes)
 
     def combined(self, weights: NDArray[Any]) -> NDArray[Any]:
         """Sum (r, r) of the terms' matrices by ``weights`` (n_term,)."""
@@ -205,6 +216,7 @@ class AffineReduced:
         """Coefficients (n_term,) at one frequency [Hz]."""
         return np.array([complex(c.at(np.array(2 * np.pi * frequency))) for c in self.coefficients])
 
+    @one_blas_thread()
     def negative_directions(self) -> int:
         """Directions of negative stiffness, as many as there are unstable poles (Kelvin, Tait and Chetaev), any law.
 
@@ -219,9 +231,13 @@ class AffineReduced:
         Directions weaker than ``drop`` of the strongest are left out: much more than the derivatives alone where
         expansions lie close together or reach far.
         """
+        kept = self.low.shape[1]
+        if np.array_equal(self.low, np.eye(self.size, kept)):
+            return self.part(slice(kept))
         values, vectors = np.linalg.eigh(self.low @ self.low.T)
         return self.projected(vectors[:, values > drop**2 * values[-1]])
 
+    @one_blas_thread()
     def projected(self, directions: FloatArray) -> Self:
         """The model on the span of orthonormal ``directions`` (r, s) of this space."""
         return replace(
@@ -368,6 +384,7 @@ def with_last_columns(reduced: AffineReduced, model: ForearmModel, added: Column
     return with_columns(replace(reduced, low=np.eye(reduced.size)), model, added, nothing)
 
 
+@one_blas_thread()
 def condensed(coupling: FloatArray, storage: FloatArray) -> FloatArray:
     """The coupling's matrix (r, r) with which pressures are the best in their span: S + G^T S^+ G.
 

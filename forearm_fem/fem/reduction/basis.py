@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from ...typing import ComplexArray, FloatArray, IntArray
-from ..kernels.compiled import compiled, in_threads, thread_count
+from ..kernels.compiled import compiled, in_threads, one_blas_thread, thread_count
 
 Columns = NDArray[np.floating[Any]]  # in single or double precision
 _PIECE = 512  # rows at a time: what is worked out with them stays in the cache
@@ -264,6 +264,7 @@ def rough_extension(basis: Basis, blocks: Sequence[Columns], n_u: int, *, drop: 
     return np.split(new, np.cumsum(counts)[:-1], axis=1)
 
 
+@one_blas_thread()
 def _directions(gram: FloatArray, widths: Sequence[int], drop: float) -> FloatArray:
     """Combinations (k, m) of columns, none longer than 1, that are orthonormal by their products ``gram`` (k, k).
 

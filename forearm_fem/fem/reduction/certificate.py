@@ -14,6 +14,7 @@ from ...typing import ComplexArray, FloatArray
 from ..assembly.coefficients import Coefficient, polynomial_of
 from ..assembly.model import ForearmModel
 from ..assembly.operator import WeightedSum
+from ..kernels.compiled import one_blas_thread
 from ..linear.direct import DirectSolver, watched
 from .affine import AffineReduced, Modes
 
@@ -102,6 +103,7 @@ class UndampedModes:
     moved: FloatArray
 
 
+@one_blas_thread()
 def undamped_modes(reduced: AffineReduced, frequency: FloatArray) -> UndampedModes:
     """Modes of the reduced model with the moduli that it keeps in the middle of the band."""
     omega = 2 * np.pi * frequency
@@ -200,7 +202,8 @@ def _found_in(
     unit = np.concatenate([np.ones(reduced.size), lengths])[kept]
     matrix = np.block([[reduced.combined(reduced.theta(frequency)), coupled], [coupled.T, own]])[np.ix_(kept, kept)]
     matrix, right = matrix / np.outer(unit, unit), right[kept] / unit[:, None]
-    return np.asarray(right.T @ np.linalg.solve(matrix, right))
+    with one_blas_thread():
+        return np.asarray(right.T @ np.linalg.solve(matrix, right))
 
 
 def _real(x: ComplexArray) -> FloatArray:
@@ -279,9 +282,10 @@ def doubt(
     if not len(probes):
         return None
     values = _watched(model, reduced, probes)
-    change = place = relative_error(_watched(model, reduced.lower(), probes), values)
-    if not wary and change.max() <= DOUBTFUL:
-        place = relative_error(_watched(model, reduced.lower(_ROUNDING), probes), values)
+    lower = reduced.lower()
+    change = place = relative_error(_watched(model, lower, probes), values)
+    if not wary and change.max() <= DOUBTFUL and (rounding := reduced.lower(_ROUNDING)).size != lower.size:
+        place = relative_error(_watched(model, rounding, probes), values)
     largest = float(change.max())
     return Doubt(float(probes[int(np.argmax(place))]), largest, wary or largest > DOUBTFUL)
 

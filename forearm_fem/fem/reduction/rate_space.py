@@ -8,6 +8,7 @@ import numpy as np
 
 from ...typing import FloatArray
 from ..assembly.coefficients import rate_weights
+from ..kernels.compiled import one_blas_thread
 from ..linear.direct import ENOUGH, DirectSolver
 from .affine import compressible
 from .basis import Basis, Columns, in_vectors, inverse_or_zero
@@ -58,6 +59,7 @@ class Pairs:
         first = self.count - count
         return Pairs(self.upper[:, first:], self.lower[:, first:])
 
+    @one_blas_thread()
     def remainder(self, others: Pairs) -> Pairs:
         """Orthonormal pairs that ``others``, of as many or more columns, add to these."""
         own, new = self.padded(len(others.upper)), others

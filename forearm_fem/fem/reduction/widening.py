@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ...typing import ComplexArray, FloatArray
 from ..assembly.model import ForearmModel
 from ..assembly.operator import AffineOperator, WeightedSum
+from ..kernels.compiled import in_threads
 from ..linear.direct import watched
 from .affine import AffineReduced, with_last_columns
 from .basis import rough_extension
@@ -52,7 +53,7 @@ def _residuals(model: ForearmModel, reduced: AffineReduced, frequency: FloatArra
     together = max(1, _AT_ONCE // width)  # moduli whose solutions are combined in one pass over the basis
     for k in range(0, len(moduli), together):
         some = moduli[k : k + together]
-        states = [_states(reduced, theta, loaded) for theta in some]
+        states = in_threads(lambda theta: _states(reduced, theta, loaded), some)
         combined = reduced.basis.combination(np.hstack([part for x in states for part in (x.real, x.imag)]))
         for t, (theta, parts) in enumerate(zip(some, np.split(combined, len(some), axis=1), strict=True), start=k):
             real, imaginary = np.hsplit(parts, 2)
