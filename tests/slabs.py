@@ -186,5 +186,8 @@ def effectivities(slabs: Sequence[Slab]) -> Iterator[Effectivity]:
             coarse = slab_response(slab_model(scenario, mesh=second.mesh), band.tolist())[:, 1:]
             order = order_of(scenario)
             rule = estimated_errors(coarse[:, :, None], fine[:, :, None], band, second.ratio, *order)
-            true, middle = band_error(fine, truth), float(np.abs(fine[1] - truth[1]).max() / np.abs(truth[1]).max())
+            true, middle = (
+                band_error(fine[:, :, None], truth[:, :, None]),
+                float(np.abs(fine[1] - truth[1]).max() / np.abs(truth[1]).max()),
+            )
             yield Effectivity(scene_name(slab), scale, model.operator.n, rule.band, true, float(rule.error[1]), middle)

@@ -8,13 +8,20 @@ from functools import partial
 import numpy as np
 import pytest
 
-from forearm_fem.engines.layered import flat_disc, flat_layers, flat_membrane, flat_ports, flat_sheet, solve_layered
-from forearm_fem.laws import KelvinVoigt
+from forearm_fem.engines.layered import (
+    flat_disc,
+    flat_layers,
+    flat_membrane,
+    flat_ports,
+    flat_sheet,
+    solve_layered,
+    without_bones,
+)
 from forearm_fem.layered import Disc, Layer, Sheet, Surface, layered_compliance, tape
 from forearm_fem.layered.discs import changed
-from forearm_fem.questions.predict.arm import without_bones
 from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of, taped
 from forearm_fem.scenario import load_scenario, parse_scenario
+from forearm_fem.tissue import KelvinVoigt
 from forearm_fem.typing import ComplexArray
 from forearm_fem.verification.scenes import slab_model, slab_response
 
