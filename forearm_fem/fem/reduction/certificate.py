@@ -301,8 +301,12 @@ def most_doubtful_bin(bounds: FloatArray, frequency: FloatArray, known: Sequence
 
 def largest_change(model: ForearmModel, reduced: AffineReduced, smaller: AffineReduced, frequency: FloatArray) -> float:
     """Largest change of G over the band by what the ``smaller`` model lacks."""
-    probes = probe_frequencies(frequency, ())[::2]
-    return float(relative_error(_watched(model, smaller, probes), _watched(model, reduced, probes)).max())
+    return float(changes(model, reduced, smaller, probe_frequencies(frequency, ())[::2]).max())
+
+
+def changes(model: ForearmModel, reduced: AffineReduced, smaller: AffineReduced, probes: FloatArray) -> FloatArray:
+    """Change (n_probe,) of G at each of the ``probes`` [Hz] by what the ``smaller`` model lacks."""
+    return relative_error(_watched(model, smaller, probes), _watched(model, reduced, probes))
 
 
 def _watched(model: ForearmModel, reduced: AffineReduced, probes: FloatArray) -> ComplexArray:

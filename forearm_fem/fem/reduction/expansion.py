@@ -27,10 +27,12 @@ from .certificate import (
     Doubt,
     ResidualBound,
     certified,
+    changes,
     doubt,
     dual_estimate,
     largest_change,
     most_doubtful_bin,
+    probe_frequencies,
     sharp_modes,
 )
 from .rate_space import Chunk, Pairs, RateSpace
@@ -228,6 +230,7 @@ class Expander:
         self._space = space = RateSpace(solver, self.model.functionals, rate, stored)
         tell(progress, "reduced model", 0, most)
         reduced, derivatives = AffineReduced.of(self.model), 0
+        probes, worst = probe_frequencies(frequency, ())[::2], np.zeros(0)
         for number in range(-(-most // _AT_ONCE)):
             chunk = stored[number] if number < len(stored) else space.more(min(_AT_ONCE, most - derivatives))
             if number >= len(stored):
@@ -239,10 +242,14 @@ class Expander:
             if tolerance is not None and derivatives >= _AT_LEAST:
                 if derivatives == _AT_LEAST and sharp_modes(reduced, frequency, _SHARP) >= _SEVERAL:
                     return self._about_rate_with_care(frequency, _SURE * tolerance, progress)
-                change = largest_change(self.model, reduced, reduced.lower(), frequency)
-                if change <= tolerance:
+                lower = reduced.lower()
+                if len(worst) and derivatives < _SLOW and changes(self.model, reduced, lower, worst)[0] > tolerance:
+                    continue  # where it changed most before it changes too much now: the others need not be looked at
+                change = changes(self.model, reduced, lower, probes)
+                worst = probes[[np.argmax(change)]]
+                if change.max() <= tolerance:
                     break
-                if change > DOUBTFUL and derivatives >= _SLOW:
+                if change.max() > DOUBTFUL and derivatives >= _SLOW:
                     return self._about_rate_with_care(frequency, _SURE * tolerance, progress)
         return ReducedSweepState(reduced, rate, derivatives, residual=space.residual)
 

@@ -36,10 +36,10 @@ def widened(
     values, vectors = np.linalg.eigh((rest.T @ rest).astype(float))
     count = min(int(np.ceil(_KEPT * rest.shape[1])), int(np.sum(values > 0)))
     strong = vectors[:, len(values) - count :].astype(np.float32)
-    found = np.empty((len(rest), count), np.float32)
+    found = rest @ strong
+    del rest  # a third of the basis, and solves need room of their own
     for some in (slice(k, k + _AT_ONCE) for k in range(0, count, _AT_ONCE)):
-        found[:, some] = solve((rest @ strong[:, some]).astype(float))
-    del rest  # as large as the basis
+        found[:, some] = solve(found[:, some].astype(float))
     added = rough_extension(reduced.basis, [found], model.operator.n_displacements, drop=_DROP)
     return with_last_columns(reduced, model, np.hstack(added))
 
