@@ -23,9 +23,10 @@ import numpy as np
 
 from forearm_fem.device import close_loop
 from forearm_fem.engines.fem import solve_fem
+from forearm_fem.engines.layered import Answer
 from forearm_fem.geometry.build import cached_mesh
 from forearm_fem.geometry.device.place import place_ports
-from forearm_fem.questions.predict.arm import Answer, ReducedArm, arm_model, with_scene_geometry
+from forearm_fem.questions.predict.arm import ReducedArm, arm_model, with_scene_geometry
 from forearm_fem.questions.predict.draws import draw_inputs, expanded, load_priors, scenario_of
 from forearm_fem.rendering import strengths
 from forearm_fem.rendering.interval import interval

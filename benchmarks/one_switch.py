@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 
 from forearm_fem.device import close_loop
-from forearm_fem.engines.layered import flat_ports
+from forearm_fem.engines.layered import LayeredArm, flat_ports, without_bones
 from forearm_fem.measurement.chain import reported
 from forearm_fem.metrics.strength import thesis_table
 from forearm_fem.ports import Port
-from forearm_fem.questions.predict.arm import LayeredArm, without_bones
 from forearm_fem.questions.predict.draws import draw_inputs, expanded, load_priors, measured_of, scenario_of, taped
 from forearm_fem.questions.predict.statistics import group_columns, group_means, joint_distance, log_score
 from forearm_fem.rendering.job import RenderJob

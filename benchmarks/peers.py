@@ -35,7 +35,7 @@ from bench.tables import read_rows, record_machine, write_csv
 from bench.text import write_page
 from forearm_fem.fem.space.numbering import mixed_space
 from forearm_fem.geometry.build import build_mesh
-from forearm_fem.tissue import resolve_tissues
+from forearm_fem.scenario.model import resolve_tissues
 
 HERE = Path(__file__).parent
 BINS = 981

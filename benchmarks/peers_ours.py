@@ -26,7 +26,7 @@ from forearm_fem.fem.space.numbering import mixed_space
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.device.place import place_ports
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
-from forearm_fem.tissue import resolve_tissues
+from forearm_fem.scenario.model import resolve_tissues
 
 BINS = np.arange(10.0, 500.25, 0.5)  # Hz
 DISC, POINT = 0, 2  # ports: the contact, and the point at 10 mm

@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from forearm_fem.laws import LAWS, Law
 from forearm_fem.layered import Disc, Layer, Surface, layered_compliance
 from forearm_fem.metrics import fit_waves
 from forearm_fem.questions.predict.draws import FASCIA, SOFT, Prior, fascia_parameters, law_parameters, wide_priors
+from forearm_fem.tissue import LAWS, Law
 from forearm_fem.typing import FloatArray
 
 FILE = Path(__file__).resolve().parents[1] / "forearm_fem" / "tissue_laws.json"

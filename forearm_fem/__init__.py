@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from .engines.simulation import Simulation as Simulation
     from .engines.simulation import simulate as simulate
     from .errors import ForearmError as ForearmError
-    from .laws import Law as Law
     from .rendering import Rendering as Rendering
     from .rendering.interval import Strength as Strength
     from .rendering.job import RenderJob as RenderJob
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
     from .rendering.renderers import Renderer as Renderer
     from .scenario import Scenario as Scenario
     from .scenario import load_scenario as load_scenario
+    from .tissue import Law as Law
     from .transfer import Compliance as Compliance
     from .transfer import ErrorEstimate as ErrorEstimate
     from .transfer import TransferMatrix as TransferMatrix
@@ -48,7 +48,7 @@ _HOMES = {
     **dict.fromkeys(("Scenario", "load_scenario"), "scenario"),
     **dict.fromkeys(("Compliance", "ErrorEstimate", "TransferMatrix"), "transfer"),
     "ForearmError": "errors",
-    "Law": "laws",
+    "Law": "tissue",
     "RenderJob": "rendering.job",
     "Rendering": "rendering",
     "Strength": "rendering.interval",

@@ -11,6 +11,8 @@ import numpy as np
 from .errors import GeometryError
 from .typing import BoolArray, FloatArray, IntArray
 
+__all__ = ["Port", "distances", "positions"]
+
 PortKind = Literal["contact", "point"]
 ContactKind = Literal["pressure", "bonded", "frictionless"]
 

@@ -18,9 +18,8 @@ from forearm_fem.fem.assembly.model import build_model
 from forearm_fem.fem.linear.factor import make_factor, refined_solve
 from forearm_fem.fem.space.numbering import MixedSpace, facet_points, tabulate
 from forearm_fem.geometry.mesh.tissue_mesh import triangle_normals
-from forearm_fem.laws import KelvinVoigt
 from forearm_fem.scenario.limb import FreeUnderside, Membrane
-from forearm_fem.tissue import Tissue
+from forearm_fem.tissue import KelvinVoigt, Tissue
 from forearm_fem.typing import ComplexArray, FloatArray, IntArray
 from forearm_fem.verification.scenes import block_mesh
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from forearm_fem.laws import KelvinVoigt
 from forearm_fem.layered import Disc, Layer, Surface, layered_compliance, surface_kernel
+from forearm_fem.tissue import KelvinVoigt
 from forearm_fem.verification.scenes import layered_truth, quarter_slab, slab_model, slab_response
 
 BULK = 2.2e9

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from manufactured import OMEGA, manufactured_errors, orders, waves
 
-from forearm_fem.laws import KelvinVoigt
-from forearm_fem.tissue import Tissue
+from forearm_fem.tissue import KelvinVoigt, Tissue
 
 MESHES = {"P1": [8, 12], "P2": [5, 8], "P3": [3, 5]}
 THEORY = {"P1": (2, 1, 1), "P2": (3, 2, 2), "P3": (4, 3, 3)}  # u in L2, u in H1, p in L2

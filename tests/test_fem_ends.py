@@ -7,9 +7,8 @@ import pytest
 
 from forearm_fem.fem.assembly.coefficients import Impedance, Polynomial, term_coefficient
 from forearm_fem.fem.reduction.sweep import direct_sweep
-from forearm_fem.laws import Hysteretic, SpringPot, Zener
 from forearm_fem.scenario.limb import FreeUnderside, Membrane
-from forearm_fem.tissue import Tissue
+from forearm_fem.tissue import Hysteretic, SpringPot, Tissue, Zener
 from forearm_fem.verification.scenes import (
     DIRECT,
     flesh,

@@ -13,9 +13,8 @@ from forearm_fem.fem.reduction.affine import AffineReduced, with_last_columns
 from forearm_fem.fem.reduction.expansion import ROUNDED, expansion_rate
 from forearm_fem.fem.reduction.rate_space import Chunk, LoadSpace, RateSpace
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
-from forearm_fem.laws import Hysteretic, KelvinVoigt
 from forearm_fem.scenario.sweep import ReducedSolve
-from forearm_fem.tissue import Tissue
+from forearm_fem.tissue import Hysteretic, KelvinVoigt, Tissue
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 

@@ -15,10 +15,9 @@ from forearm_fem.fem.assembly.model import build_model
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.device import sizing
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
-from forearm_fem.laws import Hysteretic, SpringPot, Zener
 from forearm_fem.ports import Port
 from forearm_fem.scenario.limb import FixedUnderside, FoamUnderside, FreeUnderside, Membrane
-from forearm_fem.tissue import Tissue
+from forearm_fem.tissue import Hysteretic, SpringPot, Tissue, Zener
 from forearm_fem.verification.closed import punch_stiffness, shear_bar_errors, sphere_errors
 from forearm_fem.verification.scenes import (
     DIRECT,

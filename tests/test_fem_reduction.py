@@ -18,9 +18,8 @@ from forearm_fem.fem.reduction.basis import Basis, orthonormal_extension, real_c
 from forearm_fem.fem.reduction.certificate import doubt, probe_frequencies
 from forearm_fem.fem.reduction.expansion import Expander, Snapshots, expansion_frequencies
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
-from forearm_fem.laws import Hysteretic, KelvinVoigt, SpringPot, Zener
 from forearm_fem.scenario.sweep import ReducedSolve
-from forearm_fem.tissue import Tissue
+from forearm_fem.tissue import Hysteretic, KelvinVoigt, SpringPot, Tissue, Zener
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 

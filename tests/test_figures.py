@@ -23,12 +23,12 @@ from PIL import Image
 from test_figures_scene import folder  # noqa: F401
 
 from forearm_fem.errors import DataError, NotApplicable
-from forearm_fem.laws import KelvinVoigt
 from forearm_fem.layered.closed_forms import rayleigh_wavenumber
 from forearm_fem.layered.kernel import Layer, surface_kernel
 from forearm_fem.layered.root import trace_root
 from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.scenario.model import resolve_tissues
 from forearm_fem.show import (
     Results,
     conditioning,
@@ -46,14 +46,13 @@ from forearm_fem.show import (
     target_waves,
     transfer_of,
 )
-from forearm_fem.show.device import drive_levels, plot_drives
+from forearm_fem.show.device import drive_levels, moments, plot_drives
 from forearm_fem.show.judge import errors
+from forearm_fem.show.matrix import _row, kernel_root, line, travel
 from forearm_fem.show.registry import _chosen
 from forearm_fem.show.style import SHEET, arrange
-from forearm_fem.show.targets import moments
-from forearm_fem.show.waves import _row, kernel_root, line, travel
 from forearm_fem.store.text import write_json
-from forearm_fem.tissue import resolve_tissues
+from forearm_fem.tissue import KelvinVoigt
 from forearm_fem.transfer import ErrorEstimate, entry_errors
 
 pytestmark = pytest.mark.drawn

@@ -28,8 +28,7 @@ from forearm_fem.show.film import (
     standing,
     wavefield,
 )
-from forearm_fem.show.motion import View, default_times, focus_time, motion
-from forearm_fem.show.scene import plotter_for
+from forearm_fem.show.motion import View, default_times, focus_time, motion, plotter_for
 from forearm_fem.show.style import round_down_125
 
 pytestmark = pytest.mark.drawn
@@ -50,7 +49,7 @@ def nearest(run: Results, name: str) -> int:
 def test_a_motion_through_time_is_the_wavefields_own(run: Results) -> None:
     times = np.array([0.0, 5e-3])
     moved = motion(run, View("funneling", "5"), times)
-    from forearm_fem.show.targets import drive_series
+    from forearm_fem.show.motion import drive_series
 
     whole = run.wavefield.in_time(drive_series(run.drives, "funneling", "5", run.wavefield), times)
     np.testing.assert_allclose(moved.displacement(run.wavefield.modes, 1), whole[1], atol=1e-12 * np.abs(whole).max())
@@ -58,7 +57,7 @@ def test_a_motion_through_time_is_the_wavefields_own(run: Results) -> None:
 
 def test_a_field_on_some_of_the_drives_bins_is_not_shown_for_their_motion(run: Results) -> None:
     """Every other bin alone is half of the motion, twice in the record; it was drawn without a word."""
-    from forearm_fem.show.targets import drive_series
+    from forearm_fem.show.motion import drive_series
 
     field = run.wavefield
     some = replace(field, frequency=field.frequency[::2], amplitudes=field.amplitudes[::2])

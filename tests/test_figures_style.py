@@ -6,9 +6,9 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont
 
 from forearm_fem.errors import DataError
+from forearm_fem.show.device import moments
 from forearm_fem.show.registry import save_drawn
 from forearm_fem.show.style import METHODS, _behind, clear_legends, lettering, method_look, panels
-from forearm_fem.show.targets import moments
 
 pytestmark = pytest.mark.drawn
 

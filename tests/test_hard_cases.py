@@ -14,13 +14,12 @@ from forearm_fem.fem.assembly.model import ForearmModel, build_model
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
-from forearm_fem.laws import Hysteretic, KelvinVoigt
 from forearm_fem.layered import Disc, Layer, layered_compliance
 from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.limb import FreeUnderside, Membrane
 from forearm_fem.scenario.sweep import DirectSolve, ReducedSolve
-from forearm_fem.tissue import Tissue
+from forearm_fem.tissue import Hysteretic, KelvinVoigt, Tissue
 from forearm_fem.transfer import relative_error
 from forearm_fem.typing import ComplexArray, FloatArray
 from forearm_fem.verification.scenes import (

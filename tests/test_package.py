@@ -18,7 +18,8 @@ import forearm_fem
 from forearm_fem.questions.campaign import load_campaign
 from forearm_fem.questions.design.model import load_design
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario, scenario_file, scenario_template
-from forearm_fem.scenario.load import all_keys, scenario_beside, shipped_folder, shipped_scenarios
+from forearm_fem.scenario.model import scenario_beside, shipped_folder, shipped_scenarios
+from forearm_fem.scenario.text import all_keys
 from forearm_fem.study.run import Prepared
 
 HOME = Path(__file__).parents[1]

@@ -12,7 +12,7 @@ import pytest
 from forearm_fem.device import close_loop
 from forearm_fem.engines import parametric
 from forearm_fem.engines.fem import fem_model
-from forearm_fem.engines.layered import flat_ports
+from forearm_fem.engines.layered import LayeredArm, flat_ports
 from forearm_fem.engines.parametric import ParametricModel, Ranges, parametric_model
 from forearm_fem.errors import DataError, ReductionError, ScenarioError, SolverError
 from forearm_fem.fem.linear.direct import DirectSolver
@@ -31,13 +31,13 @@ from forearm_fem.questions.compare.parameters import (
     fem_model_for,
 )
 from forearm_fem.questions.compare.run import run_fit
-from forearm_fem.questions.predict.arm import LayeredArm, ReducedArm, _nearness, arm_model, with_scene_geometry
+from forearm_fem.questions.predict.arm import ReducedArm, _nearness, arm_model, with_scene_geometry
 from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of, tape_parameters
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
+from forearm_fem.scenario.model import resolve_tissues
 from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.store.record import load, save
 from forearm_fem.store.shelf import Shelf
-from forearm_fem.tissue import resolve_tissues
 from forearm_fem.transfer import Compliance, band_error
 
 SCENE = {

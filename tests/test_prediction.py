@@ -17,12 +17,13 @@ from cli_runner import cli
 from scipy import stats
 
 from forearm_fem.device import close_loop
+from forearm_fem.engines.layered import Answer, LayeredArm
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.measurement.chain import reported
 from forearm_fem.metrics import signal_strength
 from forearm_fem.questions.predict import run as runs
 from forearm_fem.questions.predict import statistics as numbers
-from forearm_fem.questions.predict.arm import Answer, LayeredArm, arm_model
+from forearm_fem.questions.predict.arm import arm_model
 from forearm_fem.questions.predict.draws import (
     draw_inputs,
     kept_tissues,
@@ -36,6 +37,7 @@ from forearm_fem.questions.predict.statistics import shorter_waves, summary
 from forearm_fem.rendering import displacements, drives, strengths
 from forearm_fem.results.draws import DRAWS_FILE, KEPT, READINGS, DrawsFile, Outcome
 from forearm_fem.scenario import parse_scenario
+from forearm_fem.scenario.model import resolve_tissues
 from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.show.data import Results
 from forearm_fem.show.facts import strength_block
@@ -44,7 +46,6 @@ from forearm_fem.store import work as store_work
 from forearm_fem.store.record import load
 from forearm_fem.store.shelf import WORK, Shelf
 from forearm_fem.store.text import read_json
-from forearm_fem.tissue import resolve_tissues
 from forearm_fem.transfer import ErrorEstimate
 
 # 50 bins, two targets and pressure discs: a draw in 0.1 s of an idle machine

@@ -15,7 +15,6 @@ import pytest
 from scipy import stats
 
 from forearm_fem.errors import ScenarioError
-from forearm_fem.laws import KelvinVoigt, SpringPot, Zener
 from forearm_fem.questions.predict.draws import (
     LAWS,
     SOFT,
@@ -31,7 +30,8 @@ from forearm_fem.questions.predict.draws import (
     wide_priors,
 )
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.tissue import PRESETS, resolve_tissues
+from forearm_fem.scenario.model import resolve_tissues
+from forearm_fem.tissue import PRESETS, KelvinVoigt, SpringPot, Zener
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = parse_scenario({"engine": "layered"})

@@ -16,12 +16,11 @@ from forearm_fem.engines.skin_model import load_skin_model
 from forearm_fem.errors import AccuracyWarning, DataError, ReductionError, ScenarioError
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.mesh.files import read_mesh
-from forearm_fem.laws import KelvinVoigt
 from forearm_fem.questions.run import Run, run_solve
 from forearm_fem.results.files import read_transfer
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.store.record import save
-from forearm_fem.tissue import Tissue
+from forearm_fem.tissue import KelvinVoigt, Tissue
 from forearm_fem.transfer import Compliance, ErrorEstimate, band_error, relative_error, total_error
 
 SCENE = {

@@ -14,20 +14,19 @@ from scenes import shows_itself
 
 from forearm_fem import Law, Simulation, load_scenario, read, render, simulate
 from forearm_fem.engines.fem import FemEngine
-from forearm_fem.engines.layered import LayeredEngine
+from forearm_fem.engines.layered import LayeredArm, LayeredEngine
 from forearm_fem.engines.simulation import Engine
 from forearm_fem.errors import DataError, ScenarioError
-from forearm_fem.laws import SpringPot, Zener
 from forearm_fem.questions.compare.parameters import common_parameters
 from forearm_fem.questions.compare.run import run_compare
 from forearm_fem.questions.design.candidate import TabulatedArm
-from forearm_fem.questions.predict.arm import LayeredArm
 from forearm_fem.questions.predict.draws import draw_inputs, load_priors, scenario_of
 from forearm_fem.questions.predict.run import Question, check_question, predict
 from forearm_fem.rendering.job import check_servable
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.scenario.load import contents, law_files, named_files
-from forearm_fem.tissue import resolve_tissues
+from forearm_fem.scenario.model import resolve_tissues
+from forearm_fem.scenario.text import contents, law_files, named_files
+from forearm_fem.tissue import SpringPot, Zener
 from forearm_fem.transfer import ErrorEstimate
 
 SMALL = SHORT.replace("f_max = 300.0", "f_max = 700.0")  # all of the wavelet

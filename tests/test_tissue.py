@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from forearm_fem.errors import ScenarioError
-from forearm_fem.laws import Hysteretic, KelvinVoigt, Law, SpringPot, Zener
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.tissue import PRESETS, Tissue, resolve_tissues
+from forearm_fem.scenario.model import resolve_tissues
+from forearm_fem.tissue import PRESETS, Hysteretic, KelvinVoigt, Law, SpringPot, Tissue, Zener
 
 MODULI = [
     KelvinVoigt(13e3, 3.0),

@@ -12,7 +12,6 @@ import pytest
 from cli_runner import cli
 
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
-from forearm_fem.laws import KelvinVoigt
 from forearm_fem.layered import Layer, Surface
 from forearm_fem.metrics import thesis_table
 from forearm_fem.questions.predict import validate as module
@@ -31,8 +30,9 @@ from forearm_fem.questions.predict.validate import (
 from forearm_fem.results.files import write_transfer
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show.page import Page
-from forearm_fem.show.validation import coverage, failures, joint_words, validation_page
+from forearm_fem.show.prediction import coverage, failures, joint_words, validation_page
 from forearm_fem.store.text import read_json
+from forearm_fem.tissue import KelvinVoigt
 from forearm_fem.transfer import TransferMatrix
 
 SMALL: dict[str, Any] = {

@@ -22,11 +22,11 @@ from forearm_fem.ports import Port
 from forearm_fem.results.run import SolutionRecord
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.sweep import frequencies
-from forearm_fem.show.workbench import places as module
+from forearm_fem.show.workbench import anywhere as module
 from forearm_fem.show.workbench import write_workbench
+from forearm_fem.show.workbench.anywhere import places_of
 from forearm_fem.show.workbench.bundle import page_of
 from forearm_fem.show.workbench.content import library_content
-from forearm_fem.show.workbench.places import places_of
 from forearm_fem.transfer import Compliance
 
 SCENE: dict[str, Any] = {

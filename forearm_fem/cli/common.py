@@ -20,14 +20,14 @@ import typer
 
 from ..errors import DataError, first_problem, one_sentence
 from ..scenario import Scenario, apply_overrides, load_scenario, scenario_file
-from ..scenario.load import label_of, read_overrides
+from ..scenario.model import read_overrides
+from ..scenario.text import label_of
 from .display import Display as Display
 from .display import console as console
 
 if TYPE_CHECKING:
     from ..engines.library import ArmLibrary
     from ..files.declaration import Declaration
-    from ..questions.run import Run
     from ..transfer import TransferMatrix
 
 
@@ -160,39 +160,6 @@ def job(folder: Path | None = None, *rooms: str, sums: bool = True) -> Iterator[
             display("loading", k, len(rooms))
             import_module(f"forearm_fem.{room}")
         yield display
-
-
-_BY_LIBRARY = (
-    "{library}: answers in place of a solve; mesh and solver keys have no effect",
-    "library: the limb acts on each disc's net force; what it does to a disc held against tilt and slide is the "
-    "layered model's, and its error is stated as contact",
-)
-
-
-def run_of(
-    asked: Scenario,
-    file: Path,
-    out: Path | None,
-    work: Callable[[Run], Any],
-    overrides: Sequence[str] | None = None,
-    library: Path | None = None,
-) -> Run:
-    """The run of a scenario by ``work`` in its folder; its notes are printed.
-
-    A ``library`` of the arm is read first, and answers in place of a solve.
-    """
-    from ..questions.run import Run
-
-    folder, kept = out_folder(out, asked, overrides), library_file(library)
-    with job(folder) as display:
-        run = Run.start(asked, folder, file.parent, display)
-        run.asked = asked_words(file, overrides, library)
-        if kept is not None:
-            run.engine = kept
-            run.notes += [note.format(library=library) for note in _BY_LIBRARY]
-        work(run)
-    print_notes(run.notes)
-    return run
 
 
 def scenario_word(file: Path) -> str:

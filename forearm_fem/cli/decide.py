@@ -100,10 +100,10 @@ def validate(
     asked = load_scenario(scenario, overrides=overrides or ())
     name = "" if measured is None else measured.name
     folder = out_folder(out, asked, overrides) / "prediction"
-    with job(folder, "questions.predict.validate", "show.validation") as display:
+    with job(folder, "questions.predict.validate", "show.prediction") as display:
         from ..questions.predict.run import Question
         from ..questions.predict.validate import validate as run
-        from ..show.validation import failures, validation_page
+        from ..show.prediction import failures, validation_page
 
         found = run(
             Question(asked, scenario.parent, seed, held=tuple(hold or ())), folder, draws=draws, resume=resume,

@@ -32,13 +32,13 @@ from .common import (
     out_folder,
     print_notes,
     refuse_folder,
-    run_of,
     scenario_word,
     scene_of,
     stop_on_ctrl_c,
     there,
     transfer_file,
 )
+from .simulate import run_of
 
 if TYPE_CHECKING:
     from ..questions.calibrate import CalibrationResult, VirtualSetup

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -17,22 +18,22 @@ from .common import (
     OutFolder,
     Overrides,
     ScenarioFile,
+    asked_words,
     declaration,
     is_g,
     job,
     library_file,
     out_folder,
     print_notes,
-    run_of,
     scene_of,
     transfer_file,
 )
 
-Until = Literal["mesh", "solve"]
-
 if TYPE_CHECKING:
     from ..engines.forecast import Forecast
     from ..questions.run import Run
+
+Until = Literal["mesh", "solve"]
 
 
 def run(
@@ -155,7 +156,7 @@ def _expected(asked: Scenario, base: Path, display: Display | None = None) -> Fo
         return None
     from ..engines.forecast import forecast
     from ..geometry.build import cached_mesh
-    from ..tissue import resolve_tissues
+    from ..scenario.model import resolve_tissues
 
     resolve_tissues(asked)  # what they lack is said before anything is meshed
     progress = within(display, "mesh")
@@ -184,3 +185,36 @@ def _print_forecast(asked: Scenario, expected: Forecast | None) -> None:
         )
     for sentence in expected.sentences(float(band[-1])):
         typer.echo(f"warning: {sentence}")
+
+
+_BY_LIBRARY = (
+    "{library}: answers in place of a solve; mesh and solver keys have no effect",
+    "library: the limb acts on each disc's net force; what it does to a disc held against tilt and slide is the "
+    "layered model's, and its error is stated as contact",
+)
+
+
+def run_of(
+    asked: Scenario,
+    file: Path,
+    out: Path | None,
+    work: Callable[[Run], Any],
+    overrides: Sequence[str] | None = None,
+    library: Path | None = None,
+) -> Run:
+    """The run of a scenario by ``work`` in its folder; its notes are printed.
+
+    A ``library`` of the arm is read first, and answers in place of a solve.
+    """
+    from ..questions.run import Run
+
+    folder, kept = out_folder(out, asked, overrides), library_file(library)
+    with job(folder) as display:
+        run = Run.start(asked, folder, file.parent, display)
+        run.asked = asked_words(file, overrides, library)
+        if kept is not None:
+            run.engine = kept
+            run.notes += [note.format(library=library) for note in _BY_LIBRARY]
+        work(run)
+    print_notes(run.notes)
+    return run

@@ -32,13 +32,13 @@ from ..progress import Progress, tell, within
 from ..results.run import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb, SlabLimb
-from ..scenario.load import contents, law_files
+from ..scenario.model import resolve_tissues
 from ..scenario.sweep import ReducedSolve
+from ..scenario.text import contents, law_files
 from ..store.folder import default_cache_dir
 from ..store.record import dims
 from ..store.shelf import Shelf
 from ..store.text import digest_of
-from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, masked, refuse_non_finite
 from ..typing import ComplexArray, FloatArray
 from .forecast import forecast, refuse_if_too_large

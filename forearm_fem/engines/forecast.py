@@ -31,9 +31,8 @@ from ..results.run import SolutionRecord, StageCost
 from ..scenario import Scenario
 from ..scenario.actuators import ACTUATORS
 from ..scenario.limb import MeshLimb, SlabLimb, SurfacesLimb
-from ..scenario.model import for_elements_only
+from ..scenario.model import for_elements_only, resolve_tissues
 from ..scenario.sweep import FrequencyList, ReducedSolve, frequencies
-from ..tissue import resolve_tissues
 from ..transfer import finite
 from .layered import solve_layered
 

@@ -23,17 +23,16 @@ from ..geometry.build import cached_mesh
 from ..geometry.device.place import GridPlaces, grid_places
 from ..geometry.limb.thickness import stretched, stretches
 from ..geometry.mesh.tissue_mesh import TissueMesh
-from ..laws import law as law_class
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
-from ..scenario.limb import tissue_keys
+from ..scenario.model import resolve_tissues
 from ..scenario.sweep import frequencies
 from ..store.folder import default_cache_dir
 from ..store.record import dims
 from ..store.shelf import Shelf
 from ..store.text import digest_of
-from ..tissue import resolve_tissues
+from ..tissue import law as law_class
 from ..transfer import Compliance, ErrorEstimate, masked
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .fem import fem_model, solve_key
@@ -91,7 +90,7 @@ class Ranges:
 
 def soft_tissues(scenario: Scenario) -> tuple[str, ...]:
     """The limb's tissues but bone, from the skin inwards."""
-    return tuple(dict.fromkeys(t for t in tissue_keys(scenario.limb).values() if t != "bone"))
+    return tuple(dict.fromkeys(t for t in scenario.tissue_keys.values() if t != "bone"))
 
 
 @dataclass(frozen=True, eq=False)

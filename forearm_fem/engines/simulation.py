@@ -21,8 +21,8 @@ from ..rendering import Rendering
 from ..rendering.interval import Strength
 from ..rendering.job import render_transfer
 from ..scenario import Scenario
+from ..scenario.model import resolve_tissues
 from ..scenario.sweep import frequencies
-from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix, finite
 from ..typing import FloatArray
 from ..usercode import is_code, named

@@ -16,9 +16,9 @@ from ..errors import AccuracyWarning, DataError, ReductionError, ScenarioError
 from ..fem.reduction.affine import AffineReduced, Modes
 from ..ports import Port
 from ..scenario import Scenario
+from ..scenario.model import resolve_tissues
 from ..scenario.sweep import frequencies
 from ..store.record import dims, load
-from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix, error_words, masked
 from ..typing import FloatArray
 

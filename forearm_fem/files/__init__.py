@@ -1,9 +1,9 @@
 """Everybody's files: G of labs and other programs, read right or refused with the true reason, and G written."""
 
-from .declaration import Declaration, PortDeclaration, RawMatrix, RecognitionWarning
+from .declaration import Declaration, PortDeclaration, RecognitionWarning
 from .mat import read_thesis_mat, write_thesis_mat
 from .read import read, save
-from .reader import Reader
+from .reader import RawMatrix, Reader
 from .sweeps import read_sweep
 from .tables import write_csv
 

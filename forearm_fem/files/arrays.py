@@ -16,8 +16,8 @@ from scipy.io.matlab import MatReadWarning
 
 from ..errors import DataError, optional
 from ..transfer import TransferMatrix
-from .declaration import NEEDS, Declaration, Ports, RawMatrix, RecognitionWarning, asked, declare, reading, text_in
-from .reader import Reader, understand
+from .declaration import Declaration, Ports, RecognitionWarning, declare, reading, text_in
+from .reader import NEEDS, RawMatrix, Reader, asked, understand
 
 _FREQUENCY = frozenset({
     "frequency_hz", "frequency", "frequencies", "freq", "freqs", "f", "f_hz", "freq_hz", "fr", "faxis", "freqvec",

@@ -13,8 +13,8 @@ import numpy as np
 
 from ..errors import AccuracyWarning, DataError
 from ..transfer import TransferMatrix
-from .declaration import FOI, Declaration, Ports, RawMatrix, RecognitionWarning, as_named, axes_by_length, declare
-from .reader import Reader, understand
+from .declaration import FOI, Declaration, Ports, RecognitionWarning, declare
+from .reader import RawMatrix, Reader, as_named, axes_by_length, understand
 from .sweeps import channels_of, read_sweep, waveforms
 
 if TYPE_CHECKING:

@@ -1,10 +1,11 @@
-"""A kind of file: its endings, what may be declared of it, and how its content becomes G."""
+"""Content of a foreign file, entries at their ports by name, and how it becomes G; and the base of readers."""
 
 from __future__ import annotations
 
+import re
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal
@@ -13,27 +14,230 @@ import numpy as np
 
 from ..errors import AccuracyWarning, DataError
 from ..ports import Port
-from ..scenario.measurement import parse_unit, to_displacement
-from ..transfer import TransferMatrix
-from ..typing import ComplexArray, FloatArray
+from ..scenario.measurement import Quantity, parse_unit, to_displacement
+from ..transfer import ErrorEstimate, TransferMatrix
+from ..typing import BoolArray, ComplexArray, FloatArray
 from .declaration import (
     EVERY,
     FOI,
     SWEEPS,
+    Axis,
     Declaration,
     PortDeclaration,
     Ports,
-    RawMatrix,
     RecognitionWarning,
+    Sign,
     Spectrum,
-    axes_by_length,
     declare,
-    placed_by_name,
-    renamed,
-    strange_names,
-    unknown_names,
-    unsaid,
 )
+
+
+@dataclass(frozen=True)
+class Need:
+    """One thing that a file must say or be told: how to declare it, what ``else`` is common, whether it is open."""
+
+    key: str
+    option: str
+    otherwise: str
+    is_open: Callable[[RawMatrix, Declaration, Ports | None], bool]
+
+
+def _silent(key: str) -> Callable[[RawMatrix, Declaration, Ports | None], bool]:
+    return lambda raw, said, ports: getattr(raw, key) is None and getattr(said, key) is None
+
+
+def _axes_open(raw: RawMatrix, said: Declaration, ports: Ports | None) -> bool:
+    return ports is not None and (raw.axes or said.axes or axes_by_length(raw, *map(len, ports))) is None
+
+
+def _frequency_open(raw: RawMatrix, said: Declaration, ports: Ports | None) -> bool:
+    return raw.frequency is None and said.sample_rate is None
+
+
+NEEDS = (
+    Need("unit", declare("unit", "'mm/V'"), "", _silent("unit")),
+    Need("sign", declare("sign", "'+iwt'"), "'-iwt'", _silent("sign")),
+    Need("spectrum", declare("spectrum", "'one-sided'"), "'two-sided'", _silent("spectrum")),
+    Need("axes", declare("axes", "['output', 'input', 'frequency']"), "", _axes_open),
+    Need("sample_rate", declare("sample_rate", "10000"), "frequency_variable or frequency_file", _frequency_open),
+    Need("ports", "--scenario FILE", "", lambda raw, said, ports: ports is None),
+)
+
+
+def unsaid(raw: RawMatrix, said: Declaration, ports: Ports | None) -> str:
+    """Sentence on what neither ``raw`` nor ``said`` says, and what would say it; "" where nothing is open."""
+    return asked([need for need in NEEDS if need.is_open(raw, said, ports)])
+
+
+def asked(needs: list[Need], first: str = "") -> str:
+    """One sentence that asks for all of ``needs``, and for an option ``first``; "" for nothing."""
+    others = ", ".join(need.otherwise for need in needs if need.otherwise)
+    where = "where true" + (f" (else {others})" if others else "")
+    options = [*([first] if first else []), *(need.option for need in needs)]
+    return f"does not say all of itself; add {' '.join(options)} {where}" if options else ""
+
+
+def axes_by_length(raw: RawMatrix, n_out: int, n_in: int) -> tuple[Axis, ...] | None:
+    """Axes told from their lengths; None where these leave a choice."""
+    shape = raw.values.shape
+    n_frequency = max(shape, default=0) if raw.frequency is None else len(raw.frequency)
+    wanted: dict[Axis, int] = {"frequency": n_frequency, "output": n_out, "input": n_in}
+    if n_out == n_in == 1 < n_frequency and sorted(shape) == [1, 1, n_frequency]:  # either way round is the same
+        order: list[Axis] = ["output", "input"]
+        order.insert(shape.index(n_frequency), "frequency")
+        return tuple(order)
+    found: list[Axis] = [a for length in shape for a in wanted if wanted[a] == length]
+    return tuple(found) if len(shape) == len(found) == len(set(found)) == 3 else None
+
+
+@dataclass(frozen=True, eq=False)
+class RawMatrix:
+    """A file's content before it is understood; whatever the file says about itself, None where it is silent.
+
+    ``values`` in the order of ``axes``; ``frequency`` (n,) [Hz] as stored. ``deviation`` is in the file's unit.
+    ``names`` (outputs, inputs) are what a file without ports calls its entries, which then come in the order
+    (frequency, output, input); ``numbered`` where they are numbers of nodes.
+    """
+
+    name: str
+    values: ComplexArray
+    frequency: FloatArray | None = None
+    axes: tuple[Axis, ...] | None = None
+    unit: str | None = None
+    quantity: Quantity | None = None
+    spectrum: Spectrum | None = None
+    sign: Sign | None = None
+    outputs: tuple[Port, ...] | None = None
+    inputs: tuple[Port, ...] | None = None
+    valid: BoolArray | None = None
+    deviation: FloatArray | None = None
+    errors: tuple[ErrorEstimate, ...] = ()
+    provenance: dict[str, Any] = field(default_factory=dict)
+    names: tuple[tuple[str, ...], tuple[str, ...]] | None = None
+    numbered: bool = False
+
+
+# Entries of a file of somebody else, put where their names belong among the points and actuators of a scenario.
+
+_SHOWN = 6  # names of a list in a sentence
+_NUMBER = re.compile(r"^(.*?)0*(\d+)(?:\.0*)?$")
+
+
+def as_named(word: str, names: Sequence[str], numbered: bool = False) -> str:
+    """``word`` as one of ``names``: a number as other programs write it ("1.0", "01"; "A01") is the name that is that
+    number, where just one is; any other word stays as it is. The number of a node (``numbered``) is that of a name
+    which ends in it, as A3 does."""
+    if word in names:
+        return word
+    alike = [n for n in names if n.lower() == word.lower()]
+    if not alike and (mine := _NUMBER.match(word)):
+        parts = {n: m for n in names if (m := _NUMBER.match(n))}
+        alike = [n for n, m in parts.items() if (m[1].lower(), m[2]) == (mine[1].lower(), mine[2])]
+        if not alike and numbered and not mine[1] and len({m[1] for m in parts.values()}) == 1:
+            alike = [n for n, m in parts.items() if m[2] == mine[2]]
+    return alike[0] if len(alike) == 1 else word
+
+
+def renamed(raw: RawMatrix, declaration: Declaration, outputs: Sequence[Port], inputs: Sequence[Port]) -> RawMatrix:
+    """``raw`` with the names of its columns as declared, else :func:`as_named`; columns that ``points`` or
+    ``actuators`` leave out are left out."""
+    if raw.names is None:
+        if declaration.points or declaration.actuators:
+            raise DataError(
+                f"{raw.name}: names no points and actuators, so that a map of names has no effect; leave it out"
+            )
+        return raw
+    found, kept = list[tuple[str, ...]](), list[list[int]]()
+    maps = (declaration.points, declaration.actuators)
+    for own, given, ports in zip(raw.names, maps, (outputs, inputs), strict=True):
+        known = [p.name for p in ports]
+        told = [_told(n, given, known, raw.numbered) for n in own]
+        keep = [k for k, n in enumerate(told) if n is not None]
+        names = tuple(n for n in told if n is not None)
+        found.append(names if len(set(names)) == len(names) else tuple(own[k] for k in keep))
+        kept.append(keep)
+    at = np.ix_(*kept)
+    arrays = {k: None if (a := getattr(raw, k)) is None else a[:, *at] for k in ("values", "valid", "deviation")}
+    changed: dict[str, Any] = {**arrays, "names": (found[0], found[1])}
+    return replace(raw, **changed)
+
+
+def _told(name: str, given: Mapping[str, str] | None, known: Sequence[str], numbered: bool) -> str | None:
+    """The port's name of a column; None for a column that is left out."""
+    if given is None:
+        return as_named(name, known, numbered)
+    return next((port for own, port in given.items() if as_named(name, [own]) == own), None)
+
+
+def unknown_names(named: Sequence[RawMatrix], declaration: Declaration, raws: Sequence[RawMatrix]) -> None:
+    """DataError where ``points`` or ``actuators`` map a name that no file has: a slip would leave a port unmeasured."""
+    side = [1, 0] if declaration.roving == "hammer" else [0, 1]
+    for k, key in zip(side, ("points", "actuators"), strict=True):
+        there = {n for raw in raws if raw.names is not None for n in raw.names[k]}
+        if lost := [own for own in getattr(declaration, key) or {} if all(as_named(n, [own]) != own for n in there)]:
+            raise DataError(
+                f"{raws[0].name}: {key} maps '{lost[0]}', which the file does not have; it has {_list(sorted(there))}"
+            )
+
+
+def placed_by_name(raw: RawMatrix, outputs: Sequence[Port], inputs: Sequence[Port]) -> RawMatrix:
+    """``raw`` (frequency, output, input) in the order of ``outputs`` and ``inputs``, by the names that the file uses.
+
+    A port that the file lacks is not measured: NaN, marked. Every name is a port's (:func:`strange_names`), or numbers
+    of nodes are taken in their order, with a RecognitionWarning. A file that names no ports is returned as it is.
+    """
+    if raw.names is None:
+        return raw
+    columns = [
+        _columns(raw, kind, named, [p.name for p in ports])
+        for kind, named, ports in zip(("output", "input"), raw.names, (outputs, inputs), strict=True)
+    ]
+    shape = (len(raw.values), len(outputs), len(inputs))
+    measured = np.isfinite(raw.values) if raw.valid is None else raw.valid
+    return replace(
+        raw,
+        values=_spread(raw.values, columns, np.full(shape, np.nan + 0j)),
+        valid=_spread(measured, columns, np.zeros(shape, dtype=bool)),
+        deviation=None if raw.deviation is None else _spread(raw.deviation, columns, np.full(shape, np.nan)),
+    )
+
+
+def strange_names(raw: RawMatrix, outputs: Sequence[Port], inputs: Sequence[Port]) -> str:
+    """Complaint of names in the file that no port has; "" for none.
+
+    Numbers of nodes (``raw.numbered``) none of which is a port's name are none, where there are as many as ports.
+    """
+    keys = ("points", "actuators")
+    for kind, key, named, ports in zip(
+        ("output", "input"), keys, raw.names or ((), ()), (outputs, inputs), strict=True
+    ):
+        known = [p.name for p in ports]
+        strange = [n for n in named if n not in known]
+        if strange and not (raw.numbered and len(strange) == len(named) == len(known)):
+            return (
+                f"names the {kind}s {_list(strange)}, which are none of {_list(known)}; rename them, name the scenario "
+                f"measured, or add --declare \"{key}.{strange[0]}='{known[0]}'\" for each"
+            )
+    return ""
+
+
+def _columns(raw: RawMatrix, kind: str, named: Sequence[str], known: Sequence[str]) -> list[int]:
+    """Positions of the file's names among the ports' names ``known``."""
+    if all(n in known for n in named):
+        return [known.index(n) for n in named]
+    order = ", ".join(f"{a} as {b}" for a, b in zip(named, known, strict=True))
+    warnings.warn(RecognitionWarning(raw.name, f"{kind} nodes, in the order of their numbers,", order), stacklevel=6)
+    return list(range(len(known)))
+
+
+def _list(names: Sequence[str]) -> str:
+    return ", ".join(names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
+
+
+def _spread(array: ComplexArray | BoolArray | Any, columns: Sequence[list[int]], into: Any) -> Any:
+    """``array`` written into the columns of ``into`` that are its own."""
+    into[:, np.array(columns[0])[:, None], np.array(columns[1])] = array
+    return into
 
 # From a file's content and what is declared of it to G in metres per drive, each entry at its port.
 
@@ -56,7 +260,7 @@ def understand(
     """G in metres per drive from what one file holds, or several that make one G, and what is declared about it.
 
     ``ports`` (outputs, inputs) serve where neither the file nor the declaration has any; a file that names its columns
-    is then read by these names (:func:`.naming.placed_by_name`). Raises DataError for all that nobody says at once, and
+    is then read by these names (:func:`placed_by_name`). Raises DataError for all that nobody says at once, and
     where file and declaration contradict each other.
     """
     several = [raws] if isinstance(raws, RawMatrix) else list(raws)
@@ -349,7 +553,7 @@ class Reader:
     """Reader of one kind of file.
 
     ``kind`` names it in sentences, ``endings`` are its files', ``takes`` what may be declared of it beyond
-    :data:`.declaration.EVERY`. What a file must say or be told is in :data:`.declaration.NEEDS`.
+    :data:`.declaration.EVERY`. What a file must say or be told is in :data:`NEEDS`.
     """
 
     kind: ClassVar[str]

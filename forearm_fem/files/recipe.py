@@ -14,11 +14,11 @@ from scipy.fft import rfft, rfftfreq
 
 from ..errors import DataError, first_problem
 from ..scenario.base import Part, Positive
-from ..scenario.load import read_toml
+from ..scenario.model import read_toml
 from ..transfer import TransferMatrix
 from .arrays import Hdf5Reader, numbers_in
-from .declaration import FOI, Declaration, Ports, RawMatrix, declared_by, refuse_stand_in
-from .reader import Reader, understand
+from .declaration import FOI, Declaration, Ports, declared_by, refuse_stand_in
+from .reader import RawMatrix, Reader, understand
 
 if TYPE_CHECKING:
     from ..scenario import Scenario

@@ -21,8 +21,8 @@ from ..measurement.recording import Recording
 from ..scenario.measurement import parse_unit
 from ..typing import FloatArray
 from .arrays import ArrayReader, Hdf5Reader, MatReader, NpzReader
-from .declaration import SWEEPS, Declaration, RawMatrix, RecognitionWarning, declare, reading, refuse_stand_in, text_in
-from .reader import Reader
+from .declaration import SWEEPS, Declaration, RecognitionWarning, declare, reading, refuse_stand_in, text_in
+from .reader import RawMatrix, Reader
 from .tables import read_table
 from .wav import wav_samples
 

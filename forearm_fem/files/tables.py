@@ -23,7 +23,6 @@ from ..typing import FloatArray
 from .declaration import (
     FOI,
     Declaration,
-    RawMatrix,
     RecognitionWarning,
     arbitrary_gain,
     errors_from,
@@ -31,7 +30,7 @@ from .declaration import (
     port_from,
     text_in,
 )
-from .reader import Reader
+from .reader import RawMatrix, Reader
 
 _COLUMNS = ("frequency_Hz", "output", "input", "real", "imag", "valid", "deviation")
 _MARK = "# forearm_fem "

@@ -19,8 +19,8 @@ import numpy as np
 from ..errors import DataError, optional
 from ..scenario.measurement import Quantity, parse_unit
 from ..typing import BoolArray, ComplexArray, FloatArray
-from .declaration import FOI, Declaration, RawMatrix, RecognitionWarning, declare, reading
-from .reader import Reader
+from .declaration import FOI, Declaration, RecognitionWarning, declare, reading
+from .reader import RawMatrix, Reader
 
 _MARKS = re.compile(rb"    -1(?=[\r\n]|\Z| {74})")  # of datasets, as pyuff finds them
 _BLANKS = re.compile(rb"^( {4}-1) +(?=\r?$)", re.MULTILINE)
@@ -39,8 +39,8 @@ class UffReader(Reader):
     """G from the frequency response functions (type 4) of a universal file, ASCII or binary.
 
     Entries may have different abscissae: the union is taken and what an entry lacks is marked. Of a function in a
-    negative direction (-X, -Y, -Z) the sign is turned, so that all are motion in the positive direction per drive in
-    the positive one. Which axis it is must be declared where a node has several.
+    negative direction (-X, -Y, -Z) the sign is turned: all are motion in the positive direction per drive in the
+    positive one. Which axis it is must be declared where a node has several.
     """
 
     kind: ClassVar[str] = "a universal file"

@@ -16,7 +16,7 @@ from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario, load_scenario
 from ..scenario.limb import CylinderLimb, ForearmLimb, MeshLimb, MeshOptions, SlabLimb, SurfacesLimb
-from ..scenario.load import contents, limb_files
+from ..scenario.text import contents, limb_files
 from ..store.folder import default_cache_dir, write_text
 from ..store.text import digest_of
 from ..typing import FloatArray

@@ -56,7 +56,7 @@ class Sheet:
     bending: float = 0.0
 
     def covers(self, x: float, y: float) -> bool:
-        """Whether a point lies on it."""
+        """True where a point lies on it."""
         return abs(x) <= self.length / 2 and abs(y) <= self.width / 2
 
 

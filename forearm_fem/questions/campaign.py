@@ -22,18 +22,17 @@ from pydantic import Field, ValidationError
 from .. import __version__
 from ..accuracy.estimates import short_verdict
 from ..errors import ForearmError, ScenarioError, first_problem
-from ..laws import KelvinVoigt
 from ..progress import Progress, tell
 from ..results.run import read_run
 from ..scenario import Scenario, load_scenario, scenario_beside
 from ..scenario.base import Name, Part, dotted
-from ..scenario.limb import tissue_keys
-from ..scenario.load import DOTTED, contents, named_files, read_toml
+from ..scenario.model import read_toml, resolve_tissues
+from ..scenario.text import DOTTED, contents, named_files
 from ..show.page import Block, Page, Section
 from ..store.folder import check_kind, locked, set_kind, write_text
 from ..store.shelf import WORK, Shelf
 from ..store.work import LIGHT, LOST, SHARE, done_once, spread
-from ..tissue import PRESETS, Sourced, resolve_tissues
+from ..tissue import PRESETS, KelvinVoigt, Sourced
 
 __all__ = ["Campaign", "CampaignResult", "Member", "MemberResult", "load_campaign", "run_campaign"]
 
@@ -225,7 +224,7 @@ def draws(scenario: Scenario, table: DrawTable) -> Iterator[Values]:
     Raises :class:`ScenarioError` for what no spread is known of, such as the laws of bounded damping, whose parameters
     go together.
     """
-    known, met = _drawable(scenario), set(tissue_keys(scenario.limb).values())
+    known, met = _drawable(scenario), set(scenario.tissue_keys.values())
     wanted = table.parameters or tuple(k for k in known if k.partition(".")[0] in met and k.endswith((".mu", ".eta")))
     if bad := [k for k in wanted if k not in known]:
         raise ScenarioError(
@@ -261,7 +260,7 @@ def _drawable(scenario: Scenario) -> dict[str, Sourced]:
 def _drawn_jointly(scenario: Scenario) -> list[str]:
     """Soft tissues of the limb with another law than Kelvin-Voigt's."""
     tissues = resolve_tissues(scenario)
-    met = dict.fromkeys(tissue_keys(scenario.limb).values())
+    met = dict.fromkeys(scenario.tissue_keys.values())
     return [n for n in met if n != "bone" and not isinstance(tissues[n].modulus, KelvinVoigt)]
 
 

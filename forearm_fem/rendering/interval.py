@@ -172,13 +172,16 @@ class StrengthEntry:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Strength:
-    """Arrays (n_method, n_target) [-]: S ``value``, its interval ``low`` to ``high`` (NaN where unknown), S over the
-    whole ``record``, the change of S with tapered band ``edges``, what ``holes`` of G and missing ends of its band may
-    have cost (0 without any, NaN where that cannot be told).
+    """S with its interval: arrays (n_method, n_target) [-], NaN where unknown.
 
-    ``window`` [s] is what S is taken over, None for the record; ``zeros`` are the zero points by method and target;
-    ``unknown`` says why there is no interval, or what an interval there is leaves out; ``counted`` (n_target,) marks
-    targets that are in means, None for all.
+    value, low, high : S and its interval
+    record : S over the whole record
+    edges : change of S with tapered band edges
+    holes : cost of holes of G and missing ends of its band, 0 without any
+    window : [s] that S is taken over, None for the record
+    zeros : zero points by method and target
+    unknown : reason that there is no interval, or what an interval leaves out
+    counted : (n_target,) targets that are in means, None for all
     """
 
     methods: tuple[str, ...]

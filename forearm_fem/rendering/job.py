@@ -19,7 +19,7 @@ from ..metrics.strength import plain_strength, without_bound
 from ..ports import Port, lattice_of
 from ..progress import Progress, tell
 from ..scenario import Scenario, load_scenario, parse_scenario
-from ..scenario.load import read_overrides
+from ..scenario.model import read_overrides
 from ..scenario.rendering import RenderingOptions, SampledWavelet
 from ..scenario.sweep import Sweep, frequencies
 from ..transfer import UNITS, TransferMatrix
@@ -245,7 +245,7 @@ def unsuited(
 def check_servable(scenario: Scenario) -> dict[str, str]:
     """:func:`unsuited` seen from above, before anything is solved.
 
-    ScenarioError if no method is left, a method of one's own is none, or there is no point beside the target, DataError
+    ScenarioError if no method is left, a method of one's own is none, or there is no point beside the target. DataError
     if none of the record's bins would have a G.
     """
     options, sweep = scenario.rendering, scenario.sweep
@@ -397,10 +397,10 @@ def render_all(
     the thesis' sum over the whole record, which grows with it. Holes in G are :func:`bridged` first.
 
     Drives are played on ``play_on`` where it is given: what a device calibrated on ``transfer`` reaches on another G.
-    ``progress`` is called after each. One name or one renderer is taken for a list of it. Warns (AccuracyWarning) when
-    more than 10 % of the wavelet's energy falls on bins where G is unknown, where nothing is known of an actuator,
-    which is then left out, and where an S is made of rounding. Raises ScenarioError for two methods of one name or a
-    target given twice, and as :func:`drives`.
+    ``progress`` is called after each. One name or one renderer is taken for a list of it. An AccuracyWarning tells that
+    more than 10 % of the wavelet's energy falls on bins where G is unknown. So it does where nothing is known of an
+    actuator, which is then left out, and where an S is made of rounding. Raises ScenarioError for two methods of one
+    name or a target given twice, and as :func:`drives`.
     """
     targets = as_targets(targets, transfer)
     methods = as_renderers(methods)
@@ -442,8 +442,8 @@ def from_samples_file(
 ) -> Wavelet:
     """A wavelet from the samples in a CSV (one column, or time and value), WAV (one channel) or NPY (1-D) file.
 
-    The samples are set into a record of ``duration`` [s] at ``sample_rate`` [Hz] (returned ``samples`` (n_t,)
-    [-]) with their largest |value| at t = 0, and divided by it unless ``normalise`` is False. Raises
+    The samples are set into a record of ``duration`` [s] at ``sample_rate`` [Hz] with their largest |value| at t = 0.
+    They are divided by it unless ``normalise`` is False. Raises
     DataError if the file cannot be read, is not finite, is all zero, is longer than the record or has another
     rate: nothing is resampled.
     """

@@ -272,7 +272,7 @@ class AutoZeros:
     """The thesis' rule for its four actuators on a rectangular grid, else all other outputs.
 
     With all others held still, least squares gives at each frequency the drive with the largest energy at the target
-    over the energy elsewhere, which no further actuator can make smaller. The corners alone leave the actuators
+    over that elsewhere. No further actuator can make it smaller. The corners alone leave the actuators
     beyond four free to move whatever lies between.
     """
 

@@ -125,8 +125,8 @@ def place_on_bins(
 
     Samples on a bin (to 1e-3 of the bin spacing) are copied. Between samples, bins are filled by a cubic spline of real
     and imaginary part where that is safe; never across a gap, an invalid sample, or outside the band. Bins
-    at 0 Hz and from Nyquist up are left out. Raises DataError for frequencies that do not increase, for NaN in a valid
-    entry, for samples too far apart to interpolate, and if no bin is left.
+    at 0 Hz and from Nyquist up are left out. DataError for frequencies that do not increase, NaN in a valid entry,
+    samples too far apart to interpolate, and if no bin is left.
     """
     record = Record.of(sample_rate, duration)
     if values.ndim < 1:
@@ -419,8 +419,8 @@ def _judge(place: FloatArray, values: ComplexArray, bins: IntArray, df: float) -
 def _noisy(place: FloatArray, values: ComplexArray, odd: IntArray, miss: ComplexArray) -> bool:
     """True if ``miss`` (n, m) of every other sample is noise: no course between samples, but what they scatter by.
 
-    Noise is as large whatever samples are left out, while a spline of twice the spacing errs by up to 16 times as much
-    in what it follows. It is small beside the values; a response that is sampled too seldom is missed by all of them.
+    Noise is as large whatever samples are left out. A spline of twice the spacing errs by up to 16 times as much in
+    what it follows. It is small beside the values; a response that is sampled too seldom is missed by all of them.
     """
     used = odd[(odd >= 2) & (odd < len(place) - 2)]
     if len(used) < _SHORTEST or len(place) < 4 * _SHORTEST:
@@ -449,7 +449,7 @@ class Bridged:
     """G with its safe holes filled (``transfer``), and with all of them (``guess``, None if none is left).
 
     ``error`` is e(f) of what was filled (None without any); ``filled`` and ``left`` count (bin, entry) pairs; ``bins``
-    are those with any hole. ``ends`` counts the pairs before the first or after the last known bin of their entry, and
+    are those with any hole. ``ends`` counts the pairs before the first or after the last known bin of their entry.
     ``absent`` names the actuators, points and entries of which nothing is known.
     """
 

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from ..errors import ScenarioError
-from ..laws import LAWS
+from ..tissue import LAWS
 from .base import Coordinate, Length, Part, UserCode, Within, choice, idle, only_in
 
 

@@ -87,8 +87,8 @@ class RigOptions(Part):
 class MeasurementOptions(Part):
     """Calibration: an exponential sine sweep per actuator and point, repeated without a pause.
 
-    Band, duration and rate are the scenario's ``sweep``. One period is sent first and thrown away, so that
-    what is kept is periodic and the division by the drive's spectrum is free of leakage.
+    Band, duration and rate are the scenario's ``sweep``. One period is sent first and thrown away. What
+    is kept is periodic, and the division by the drive's spectrum is free of leakage.
     """
 
     amplitude: Voltage = Field(default=1.0, description="of the sweep at the actuator [V]")

@@ -20,12 +20,20 @@ except ValueError:  # it looks at MPLBACKEND while it is imported, and knows no 
     ) from None
 
 from .data import Results
-from .device import drive_levels, impedance, method, plot_drives, plot_impedance, plot_method
+from .device import drive_levels, impedance, method, plot_drives, plot_impedance, plot_method, plot_target, target_waves
 from .judge import errors, plot_errors, plot_strength_maps, plot_table_one, strengths, table_one
-from .matrix import conditioning, conditioning_of, plot_conditioning, plot_transfer, transfer_of
+from .matrix import (
+    conditioning,
+    conditioning_of,
+    dispersion,
+    plot_conditioning,
+    plot_dispersion,
+    plot_transfer,
+    plot_travel,
+    transfer_of,
+    travel,
+)
 from .registry import FigureKind, applies, kinds, make_figures
-from .targets import plot_target, target_waves
-from .waves import dispersion, plot_dispersion, plot_travel, travel
 
 __all__ = [
     "FigureKind",

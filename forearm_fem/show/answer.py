@@ -17,7 +17,7 @@ from ..metrics.strength import strength_text
 from ..ports import positions
 from ..rendering.limits import not_counted_words, rim_gaps
 from ..scenario import Scenario
-from ..scenario.load import shipped_scenarios
+from ..scenario.model import shipped_scenarios
 from .data import Results
 from .facts import _device, _grid, accuracy_words, capital, limb_words
 from .judge import Strengths, strengths
@@ -28,10 +28,12 @@ PAGE = "docs/trust.md"
 
 @dataclass(frozen=True)
 class TrackRecord:
-    """What bands of 5-95 % over ``arms`` of the layered model held: ``entries`` of Table I's nine means of S and
-    ``deviations`` of its six, as the rig reports them, over the wavelet's window; ``findings`` of so many
-    ``compared`` others that no law was fitted to. ``width`` is the factor to either side, ``joint`` the distance of the
-    nine over the arms' median, ``score`` their log score."""
+    """Record of bands of 5-95 % over ``arms`` of the layered model: how much of the thesis they held.
+
+    entries, deviations : of Table I's nine means of S and its six, as the rig reports them, over the wavelet's window
+    findings : of so many ``compared`` others that no law was fitted to
+    width, joint, score : factor to either side, distance of the nine over the arms' median, their log score
+    """
 
     arms: int
     entries: int

@@ -193,7 +193,7 @@ def renderer_block(results: Results) -> Block:
 
 
 def play_block(results: Results, methods: Sequence[str]) -> Block:
-    """What to play: per target and method the peak on each actuator, when and how far the target moves, and room."""
+    """Drives to play: per target and method the peak on each actuator, time and size of the target's motion, room."""
     drives, moved, limits = results.drives, results.displacements, limits_of(results.scenario.device)
     rows = []
     for t, target in enumerate(drives.targets):

@@ -26,18 +26,23 @@ from ..progress import Progress, tell
 from ..store.folder import atomic_path
 from ..typing import FloatArray, IntArray
 from .data import Results
-from .motion import Motion, View, default_times, focus_time, motion, shown_values
-from .scene import (
+from .motion import (
     MM,
     NAMED,
+    Motion,
+    View,
     add_bones,
     add_device,
     add_grid,
     add_scale_bar,
     cones_of,
+    default_times,
+    focus_time,
     font_file,
+    motion,
     on_picture,
     plotter_for,
+    shown_values,
     surface_grid,
     trimmed,
     volume_grid,
@@ -213,8 +218,8 @@ def drawn_words(factor: float) -> str:
 def staged(results: Results, plotter: Any, moved: Motion, look: Look, whole: Motion | None = None) -> Stage:
     """Body, device, grid, bones, scale bar, colours and camera in ``plotter``.
 
-    Magnification and colours are of the ``whole`` motion that ``moved`` is a part of, so that a picture and a film of
-    one view are drawn alike.
+    Magnification and colours are of the ``whole`` motion that ``moved`` is a part of. So a picture and a film of one
+    view are drawn alike.
     """
     view = moved.view
     body = body_of(results, look.cut, view.target)
@@ -394,7 +399,7 @@ def animate(
 
 
 def slow_words(moved: Motion, frames_per_second: float) -> str:
-    """How much slower than the motion a film of its steps, evenly spaced, plays."""
+    """Factor by which a film of evenly spaced steps plays slower than the motion."""
     step = float(moved.steps[1] - moved.steps[0]) if len(moved.steps) > 1 else 0.0
     if moved.view.frequency is not None:
         step /= 2 * np.pi * moved.view.frequency  # a phase's share of a period

@@ -19,7 +19,7 @@ from ..errors import DataError, ForearmError, NotApplicable
 from ..ports import is_thesis_grid
 from ..progress import Progress, tell
 from ..store.folder import atomic_path, write_text
-from . import device, film, judge, matrix, scene, targets, waves
+from . import device, film, judge, matrix, motion
 from .answer import beside_thesis
 from .data import Results
 from .page import as_csv, tables
@@ -51,12 +51,12 @@ class FigureKind:
 _SIGNALS = ("transfer.nc", "drives.nc", "displacements.nc")
 _STRENGTHS = ("transfer.nc", "signal_strength.csv")
 _FIXED = (
-    FigureKind("figure-2", "A wavelet along a line", waves.travel, waves.plot_travel, needs=_SIGNALS[:2]),
+    FigureKind("figure-2", "A wavelet along a line", matrix.travel, matrix.plot_travel, needs=_SIGNALS[:2]),
     FigureKind("figure-4", "From sweep to transfer function to drives", device.method, device.plot_method,
                needs=_SIGNALS),
     FigureKind("table-1", "Signal strength beside the thesis' Table I", lambda r: judge.table_one(judge.strengths(r)),
                judge.plot_table_one, judge.table_one_extra, _STRENGTHS),
-    FigureKind("figure-a2", "Attenuation and dispersion", waves.dispersion, waves.plot_dispersion),
+    FigureKind("figure-a2", "Attenuation and dispersion", matrix.dispersion, matrix.plot_dispersion),
     FigureKind("transfer", "G: size, within its error, and phase", lambda r: matrix.transfer_of(r.transfer),
                matrix.plot_transfer),
     FigureKind("condition", "Singular values and condition number of G", matrix.conditioning,
@@ -66,7 +66,7 @@ _FIXED = (
                optional=("compliance",)),
     FigureKind("wavefield", "The skin at the moment of focus", film.wavefield, film.plot_wavefield, needs=_SIGNALS,
                optional=("mesh.vtu", "wavefield.nc")),
-    FigureKind("mesh", "The mesh cut open", scene.cutaway, scene.plot_cutaway, optional=("mesh.vtu",)),
+    FigureKind("mesh", "The mesh cut open", motion.cutaway, motion.plot_cutaway, optional=("mesh.vtu",)),
     FigureKind("errors", "Estimated errors of G by source", judge.errors, judge.plot_errors, optional=("errors",)),
     FigureKind("strength", "Signal strength over the targets", lambda r: judge.strengths(r).to_xarray(),
                judge.plot_strength_maps, needs=_STRENGTHS),
@@ -82,7 +82,7 @@ def kinds(results: Results | None = None) -> Mapping[str, FigureKind]:
         thesis = thesis_figure(t, results)
         title = f"Waves towards target {t}{f' ({thesis})' if thesis else ''}"
         by_target.append(
-            FigureKind(_name_of(t, bool(thesis)), title, partial(targets.target_waves, target=t), targets.plot_target,
+            FigureKind(_name_of(t, bool(thesis)), title, partial(device.target_waves, target=t), device.plot_target,
                        needs=_SIGNALS)
         )  # fmt: skip
     return {k.name: k for k in (*_FIXED, *by_target)}

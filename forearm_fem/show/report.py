@@ -40,12 +40,12 @@ from .answer import (
     trust_of,
 )
 from .data import Results
+from .device import plot_trace, target_waves
 from .film import Look, plot_wavefield, wavefield
 from .judge import ERRORS, Strengths, plot_strength_map, strengths
 from .motion import View
 from .page import Block, Page, Picture, Section, embedded
 from .registry import applies, kinds
-from .targets import plot_trace, target_waves
 
 # Report of a scene that renders nothing: how waves travel and decay from one contact, and the layered model beside it.
 
@@ -179,7 +179,7 @@ def run_page(results: Results, progress: Progress | None = None) -> Page:
 
 
 def to_play(results: Results, data: Strengths) -> list[Section]:
-    """What to play on the rig that measured G: the best method's drives, and the others' folded."""
+    """Drives to play on the rig that measured G: the best method's, and the others' folded."""
     if not is_measured(results):
         return []
     best, *others = (a.method for a in method_answers(data))

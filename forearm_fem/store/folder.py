@@ -197,9 +197,9 @@ def check_kind(
 ) -> None:
     """Look at ``folder`` before work of a ``kind`` begins in it.
 
-    DataError where it is a run, design, campaign, study, calibration or prediction and ``kind`` is another of these, or
-    where one of ``files`` is there that no earlier work of this kind wrote. A warning where these answered another
-    question than ``asked``. Folders inside it, such as a campaign's members, have kinds of their own.
+    DataError where it is a run, design, campaign, study, calibration or prediction and ``kind`` is another of these.
+    So, too, where one of ``files`` is there that no earlier work of this kind wrote. A warning where these answered
+    another question than ``asked``. Folders inside it, such as a campaign's members, have kinds of their own.
     """
     place, record = Path(folder), _record(folder)
     if kind in _ALONE and (other := next((k for k in record if k in _ALONE and k != kind), None)):

@@ -1,8 +1,8 @@
 """Stimuli and trials for PsychoPy, jsPsych or another player, and answers: theirs, and our own sessions'.
 
 Each WAV holds one presentation, a channel per actuator, in 32-bit floating point: 1 is the stated full scale of the
-card's output in volts. ``trials.csv`` is the whole order with what each trial plays, how strong it is at the target,
-and the hashes of what it was made from. Answers come back beside its columns, and are held against the planned order:
+card's output in volts. ``trials.csv`` is the whole order: what each trial plays, its strength at the target, and
+hashes of its sources. Answers come back beside its columns, and are held against the planned order:
 what is missing stays missing, what stands twice or is not as planned is refused.
 """
 
@@ -115,9 +115,9 @@ def at_rate(signals: FloatArray, own: float, rate: float) -> FloatArray:
 def answers(store: StudyStore, files: Sequence[Path] = (), grid: Sequence[Port] = ()) -> dict[str, pd.DataFrame]:
     """Tables by task, with ``participant``: of our own sessions, or of ``files`` or folders of other programs.
 
-    The ``grid`` tells where the points of the latter lie. Who withdrew is left out. DataError in one sentence where
-    there is none, and of foreign ones for a file without such answers, an answer that is no grid point, a trial that
-    was not planned so, or one that was answered twice.
+    The ``grid`` tells where the points of the latter lie. Who withdrew is left out. DataError where there is none. Of
+    foreign ones, too, for a file without such answers, an answer that is no grid point, and a trial not planned so or
+    answered twice.
     """
     if files:
         rows = _foreign(store, files, grid)

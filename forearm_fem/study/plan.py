@@ -17,7 +17,7 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from ..errors import ScenarioError, first_problem
 from ..scenario.base import NonNegative, Part, Positive, is_folder_name
-from ..scenario.load import read_toml
+from ..scenario.model import read_toml
 
 Answer = Literal["one point", "several points"]
 Phase = Literal["training", "main"]

@@ -201,8 +201,8 @@ def stimuli_for(
 
     Signals keep ``options.lead`` seconds before the wavelet's centre and ``options.tail`` after, faded as they are
     played; motion is what G makes of exactly these. Holes of G are bridged as in a run (AccuracyWarning where that is
-    not safe). Raises ScenarioError for a G that is not in m/V, for levels out of an actuator's reach, for a G of
-    arbitrary gain without ``drive``, and as the renderers do.
+    not safe). ScenarioError for a G that is not in m/V or of arbitrary gain without ``drive``, for levels out of an
+    actuator's reach, and as the renderers raise.
     """
     if transfer.unit != "m/V":
         raise ScenarioError(f"stimuli need a G in m/V, got {transfer.unit}; set device.drive = 'voltage'")

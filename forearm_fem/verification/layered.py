@@ -8,7 +8,6 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import hyp2f1, j0, j1
 
-from ..laws import KelvinVoigt
 from ..layered import (
     Disc,
     Layer,
@@ -22,6 +21,7 @@ from ..layered import (
     uniform_disc_centre,
 )
 from ..layered.discs import Contact
+from ..tissue import KelvinVoigt
 from ..typing import ComplexArray, FloatArray
 from .scenes import RADIUS, Row
 

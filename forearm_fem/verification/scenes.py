@@ -17,13 +17,13 @@ from ..geometry.build import build_mesh
 from ..geometry.device.place import place_ports
 from ..geometry.limb.filling import oriented, stack_prisms
 from ..geometry.mesh.tissue_mesh import EDGES, Bends, TissueMesh, boundary_faces
-from ..laws import KelvinVoigt
-from ..layered import Base, Disc, Layer, layered_compliance
+from ..layered import Disc, layered_compliance
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
 from ..scenario.limb import FreeUnderside, Membrane
+from ..scenario.model import resolve_tissues
 from ..scenario.sweep import DirectSolve
-from ..tissue import Tissue, resolve_tissues
+from ..tissue import KelvinVoigt, Tissue
 from ..typing import ComplexArray, FloatArray, IntArray
 
 # Structured blocks and spherical shells of tetrahedra for verification.
@@ -222,17 +222,11 @@ def slab_response(model: ForearmModel, frequencies: Sequence[float]) -> ComplexA
     return direct_sweep(model, np.array(frequencies), DIRECT).values[:, :, 0]
 
 
-def layered_truth(scenario: Scenario, frequencies: Sequence[float], *, depth: float | None = None) -> ComplexArray:
-    """The exact counterpart of :func:`slab_response`; a ``depth`` puts rigid ground under the core."""
-    layers, base = flat_layers(scenario), "halfspace"
-    if depth is not None:
-        above = sum(x.thickness_m for x in layers[:-1])
-        last = layers[-1]
-        layers, base = [*layers[:-1], Layer(depth - above, last.density, last.modulus, last.bulk_modulus)], "rigid"
+def layered_truth(scenario: Scenario, frequencies: Sequence[float]) -> ComplexArray:
+    """The exact counterpart of :func:`slab_response`."""
     cone, surface = scenario.device.cone, flat_membrane(scenario.tissues)
     discs = [Disc(0.0, 0.0, cone.radius, cone.contact), *(Disc(x, y) for x, y in scenario.grid.places)]
     omega = 2 * np.pi * np.array(frequencies)
-    choice: Base = "rigid" if base == "rigid" else "halfspace"
-    result = layered_compliance(layers, omega, discs[:1], discs, base=choice, surface=surface, tolerance=1e-8,
+    result = layered_compliance(flat_layers(scenario), omega, discs[:1], discs, surface=surface, tolerance=1e-8,
                                 sheet=flat_sheet(scenario.tissues))  # fmt: skip
     return result.values[:, :, 0]

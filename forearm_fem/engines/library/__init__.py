@@ -1,9 +1,8 @@
 """The arm's library: one long run for a patch of skin, after which any arrangement of discs on it is answered in a
 second.
 
-``make`` makes it of two ``side``s, ``kept`` as they go, ``arm`` answers, ``store`` keeps; ``skin`` lays the skin flat,
-``loads`` spreads forces on it, ``limb`` is what they see, ``between`` interpolates, ``flat_bells`` are loads on the
-layered model, ``bands`` splits the band.
+``make`` makes it of two ``side``s, kept as they go, and ``arm`` answers. ``skin`` lays the skin flat, and ``between``
+interpolates.
 """
 
 from .arm import ArmLibrary

@@ -11,13 +11,12 @@ import numpy as np
 
 from ...accuracy.discretisation import COARSER
 from ...errors import ForearmError, ScenarioError
-from ...laws import KelvinVoigt
 from ...layered.integrals import Medium
 from ...progress import Progress, within
 from ...scenario import Scenario, parse_scenario
-from ...scenario.limb import tissue_keys
+from ...scenario.model import resolve_tissues
 from ...store.record import load, said_content, save
-from ...tissue import resolve_tissues
+from ...tissue import KelvinVoigt
 from ...typing import ComplexArray, FloatArray
 from ..layered import flat_layers, flat_surface, kept_tables, tables_reach
 from .arm import WIDTH, ArmLibrary, library_band, library_skin
@@ -57,7 +56,7 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
     """
     began = time.monotonic()
     tissues = resolve_tissues(scenario)
-    for key, name in tissue_keys(scenario.limb).items():
+    for key, name in scenario.tissue_keys.items():
         if not isinstance(tissues[name].modulus, KelvinVoigt):
             raise ScenarioError(
                 f"{key}: a library starts from one real rate and needs Kelvin-Voigt tissue, but {name} is not; set "

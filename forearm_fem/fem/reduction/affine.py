@@ -23,9 +23,9 @@ from scipy.sparse import csr_array
 from ...geometry.limb.thickness import stretches
 from ...scenario import Scenario
 from ...scenario.limb import Limb
+from ...scenario.model import resolve_tissues
 from ...store.record import UNKEPT, dims
 from ...store.shelf import Shelf
-from ...tissue import resolve_tissues
 from ...typing import ComplexArray, FloatArray, IntArray
 from ..assembly.coefficients import (
     Coefficient,

@@ -21,7 +21,7 @@ def stack_prisms(triangles: IntArray, levels: IntArray) -> tuple[IntArray, IntAr
     """Tetrahedra (at most 3 m k, 4) of prisms between successive levels, and the level each lies under.
 
     ``triangles`` (m, 3) index the columns, ``levels`` (k + 1, n_column) the vertex of each column at each level. Every
-    quadrilateral is cut from its lower column on one level to its higher column on the next (Kuhn), so prisms side by
+    quadrilateral is cut from its lower column on one level to its higher column on the next (Kuhn). So prisms side by
     side share their diagonals. Where levels of a column fall together, what has no volume is left out. Orientation is
     left to :func:`oriented`.
     """

@@ -1,7 +1,7 @@
 """Meshes in Abaqus' input files (.inp), of which meshio 5.3 reads some only and mistakes others.
 
-It keeps the last ``*NODE`` block alone, gives the elements of a named block to the block of its number, takes one name
-of a set of sets, reads comments among data as data, and does not see that an instance is moved.
+It keeps the last ``*NODE`` block alone and gives the elements of a named block to the block of its number. It takes
+one name of a set of sets, reads comments among data as data, and does not see that an instance is moved.
 """
 
 from __future__ import annotations

@@ -26,16 +26,16 @@ def midpoints(mesh: TissueMesh, edges: IntArray) -> FloatArray:
     return np.asarray(mesh.points[edges].mean(axis=1))
 
 
-def refine(mesh: TissueMesh, marked: BoolArray, *, middle: Middle = midpoints) -> TissueMesh:
+def refine(mesh: TissueMesh, marked: BoolArray) -> TissueMesh:
     """The mesh with every ``marked`` (n_tet,) tetrahedron bisected at least once, neighbours as needed.
 
-    Rivara's longest-edge propagation keeps the mesh conforming. ``middle(mesh, edges)`` gives the new
-    vertices (k, 3) [m]; with midpoints, volumes and areas stay exactly as they were.
+    Rivara's longest-edge propagation keeps the mesh conforming. New vertices are midpoints, so volumes
+    and areas stay exactly as they were.
     """
     pending = np.asarray(marked, dtype=bool)
     while pending.any():
         edges = _terminal_edges(mesh, pending)
-        mesh, parent, split = split_edges(mesh, edges, middle(mesh, edges))
+        mesh, parent, split = split_edges(mesh, edges, midpoints(mesh, edges))
         pending = (pending & ~split)[parent]
     return mesh
 

@@ -26,8 +26,7 @@ from ...ports import Port
 from ...progress import Progress
 from ...scenario import Scenario, parse_scenario
 from ...scenario.device import VoltageDevice
-from ...scenario.limb import tissue_keys
-from ...tissue import resolve_tissues
+from ...scenario.model import resolve_tissues
 from ...transfer import Compliance, TransferMatrix
 from ...typing import FloatArray
 
@@ -296,7 +295,7 @@ def _known(scenario: Scenario) -> dict[str, Parameter]:
         found[f"{name}.thickness"] = Parameter(
             key, part.thickness, part.thickness / 3, part.thickness * 3, log=True, unit="m"
         )
-    own = {*tissue_keys(scenario.limb).values(), *(("bone",) if getattr(scenario.limb, "bones", ()) else ())}
+    own = {*scenario.tissue_keys.values(), *(("bone",) if getattr(scenario.limb, "bones", ()) else ())}
     for name, tissue in tissues.items():
         stated = tissue.modulus.stated("")
         keys = {"mu": "mu", "eta": "eta", **{short: f"parameters.{short}" for short in stated.get("parameters", ())}}

@@ -22,7 +22,7 @@ from ...metrics.common_ground import CommonGround
 from ...metrics.strength import strength_text
 from ...ports import positions
 from ...rendering.limits import counted_points, not_counted_words
-from ...scenario.load import shipped_scenarios
+from ...scenario.model import shipped_scenarios
 from ...show.page import Block, Page, Section, embedded
 from ...show.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, micro, panels, sign, single, styled
 from ...store.folder import atomic_path, set_kind, write_text

@@ -46,9 +46,9 @@ from ...scenario import Scenario, load_scenario, parse_scenario, scenario_beside
 from ...scenario.actuators import ACTUATORS
 from ...scenario.base import Name, Part, Within, dotted
 from ...scenario.device import HeldHousing
-from ...scenario.load import DOTTED, read_toml
-from ...scenario.model import for_elements_only
+from ...scenario.model import for_elements_only, read_toml
 from ...scenario.rendering import Method
+from ...scenario.text import DOTTED
 from ...typing import BoolArray, FloatArray
 from ...usercode import is_code
 

@@ -26,7 +26,7 @@ from ...notebook import Manners
 from ...progress import Progress, tell, within
 from ...rendering.job import wavelet
 from ...results.run import read_run
-from ...scenario.load import contents, named_files
+from ...scenario.text import contents, named_files
 from ...store.folder import check_kind, set_kind
 from ...store.shelf import WORK, Shelf
 from ...store.text import digest_of

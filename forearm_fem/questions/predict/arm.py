@@ -11,25 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from ...accuracy.estimates import quadrature_estimate
 from ...engines.arm_meshes import ArmMeshes, arm_meshes
 from ...engines.layered import (
-    LayeredEngine,
-    between_ports,
-    contacts_of,
+    ALONE,
+    Answer,
+    LayeredArm,
     flat_disc,
-    flat_layers,
-    flat_membrane,
     flat_ports,
-    flat_sheet,
+    without_bones,
 )
 from ...engines.parametric import ParametricModel, parametric_model, reciprocal
 from ...errors import ForearmError, ScenarioError
 from ...fem.reduction.rational import chebyshev_frequencies, rational
 from ...geometry.limb.thickness import stretches
-from ...layered import layered_compliance
 from ...metrics import smooth_noise
-from ...ports import Port
 from ...progress import Progress, within
 from ...scenario import Scenario
 from ...transfer import Compliance, ErrorEstimate
@@ -37,12 +32,8 @@ from ...typing import ComplexArray, FloatArray
 from ...usercode import is_code
 from .draws import FASCIA, has_fascia
 
-# A third of the time of the layered model's own; what it costs is stated per draw
-_TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)
-_JUDGED = 6  # every so many frequencies the series are judged
 _OF_CHANGE = (1e-2, 3)  # tolerance and terms for what geometry changes: 5e-5 of it apart, in two thirds of the time
-_ALONE, _FAR, _SCATTERED = (1,), 0.5, 0.06  # orders of a change, up to which nearness, and what they leave out of it
-_ENOUGH = 0.1  # e(f): where fewer orders say more (a point near a cone, little loss), more are taken
+_FAR, _SCATTERED = 0.5, 0.06  # nearness up to which one order is taken, and what it leaves out
 _ASKED = 33  # frequencies asked of the layered model for changes by geometry: polynomials through 49 leave .02 of it
 _FITTED = 1e-4  # of the largest entry: what a rational function of it may miss at those that it does not pass through
 _BETWEEN = 2  # times as much it may miss elsewhere: at single frequencies twice this was seen, over the band half
@@ -50,117 +41,6 @@ _OTHERS = 6  # answers as wrong as geometry may make one
 _SMOOTH = 50.0  # Hz over which what geometry misses is alike, as for other errors of S (decision 0027)
 _MISSED = 0.5  # of the change by geometry that the layered model may be wrong by
 _TAPED = 2.0  # the same of a contact's radius beside tape: 1.9 of it was seen at 500 Hz, .1 to .4 at 180
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """Answer of a model for a draw.
-
-    ``compliance``: its value.
-    ``others``: as likely by the errors ``shown`` (their sources), whose shape over pairs of ports is known; all
-    other errors count as noise.
-    """
-
-    compliance: Compliance
-    others: tuple[Compliance, ...] = ()
-    shown: frozenset[str] = frozenset()
-
-
-@dataclass(frozen=True)
-class LayeredArm:
-    """The semi-analytic layered model with fewer terms: 981 bins in about half a second, with a true error of G below 1
-    %.
-
-    Azimuthal ``orders`` are taken in turn until their error is small; of a single one it is not in the errors what it
-    leaves out.
-    """
-
-    solved: bool = False  # whether the scene itself is solved by finite elements
-    tolerance: float = _TOLERANCE
-    terms: int = _TERMS
-    orders: tuple[int, ...] = _ORDERS
-
-    @property
-    def name(self) -> str:
-        """See :class:`.Engine`."""
-        return "layered model"
-
-    def holds(self, scenario: Scenario) -> str:
-        """See :class:`.Engine`: as the layered model."""
-        return LayeredEngine().holds(scenario)
-
-    @property
-    def held(self) -> frozenset[str]:
-        """Inputs of the priors that the model cannot follow, which stay the scenario's: none."""
-        return frozenset()
-
-    @property
-    def left_out(self) -> str:
-        """Sentence on properties of an arm that the model has not."""
-        beside = "; the scene itself is solved by finite elements, so that it may lie beside its own arms"
-        return (
-            "the arms are flat layers without end: girth, taper, bones and the device's place on the limb are not in "
-            f"the band{beside if self.solved else ''}"
-        )
-
-    @property
-    def unknown(self) -> str:
-        """Sentence on errors of an answer that could not be estimated and are in no band: none."""
-        return ""
-
-    def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
-        """See :class:`.Engine`."""
-        scenario = without_bones(scenario)
-        return self._between(scenario, flat_ports(scenario), frequency)
-
-    def _between(self, scenario: Scenario, ports: tuple[Port, ...], frequency: FloatArray) -> Compliance:
-        """Compliance between ``ports`` on the scenario's layers."""
-        contacts, discs = ([flat_disc(port) for port in some] for some in (contacts_of(ports), ports))
-        sheet = flat_sheet(scenario.tissues)
-        for orders in self.orders if sheet is None else self.orders[-1:]:  # tape may reach to the cones' rims
-            found = layered_compliance(
-                flat_layers(scenario), 2 * np.pi * frequency, contacts, discs, surface=flat_membrane(scenario.tissues),
-                sheet=sheet, tolerance=self.tolerance, terms=self.terms, orders=orders,
-                judged=_JUDGED,
-            )  # fmt: skip
-            error = found.quadrature + found.interpolation
-            error = np.asarray(error if self.orders == _ALONE else error + found.truncation)
-            if error.max() <= _ENOUGH:
-                break
-        error = error + found.sheet
-        estimate = quadrature_estimate(
-            frequency, error,
-            "the layered model's own control, with fewer terms than it takes for a scene",
-        )  # fmt: skip
-        return Compliance(frequency, between_ports(found.values, ports), ports, (estimate,))
-
-    def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
-        """The same with what it may be as well: its errors are noise."""
-        return Answer(self.compliance(scenario, frequency))
-
-    def answers(self, scenario: Scenario, seen: Scenario, frequency: FloatArray) -> tuple[Answer, Compliance]:
-        """The same, and the compliance of ``seen``, which has points elsewhere or read otherwise, by one solve."""
-        if seen.grid == scenario.grid:
-            return (answer := self.answer(scenario, frequency)), answer.compliance
-        scenario, seen = without_bones(scenario), without_bones(seen)
-        own, laid = flat_ports(scenario), flat_ports(seen)
-        points = tuple(port for port in laid if port.kind == "point")
-        both = self._between(scenario, (*own, *points), frequency)
-        contacts = [i for i, port in enumerate(own) if port.kind == "contact"]
-        met = [*contacts, *range(len(own), len(both.ports))]
-        every = range(len(frequency))
-        true, seen_there = (
-            replace(both, values=both.values[np.ix_(every, at, at)], ports=tuple(both.ports[i] for i in at))
-            for at in (range(len(own)), met)
-        )
-        return Answer(true), seen_there
-
-
-def without_bones(scenario: Scenario) -> Scenario:
-    """The same without bones, which the layered model has not: thick fat need not fit around them."""
-    if not getattr(scenario.limb, "bones", ()):
-        return scenario
-    return scenario.changed({"limb.bones": ()})
 
 
 @dataclass(frozen=True)
@@ -286,7 +166,7 @@ class ReducedArm:
         Where discs are far apart, one azimuthal order says what changes to some hundredths of it, which are stated.
         """
         far = 0 < max(_nearness(s) for s in (*draw, *seen)) <= _FAR
-        layered = replace(self.layered, orders=_ALONE) if far else self.layered
+        layered = replace(self.layered, orders=ALONE) if far else self.layered
         few = len(frequency) <= _ASKED
         nodes = frequency if few else chebyshev_frequencies(frequency, _ASKED)
         pairs = [layered.answers(own, met, nodes) for own, met in zip(draw, seen, strict=True)]

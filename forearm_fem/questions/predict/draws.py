@@ -18,12 +18,12 @@ from scipy.special import expit, logit, ndtr
 
 from ...errors import ScenarioError
 from ...geometry.device.layout import turned
-from ...laws import LAWS as BUILT_IN
-from ...laws import law
 from ...scenario import Scenario, parse_scenario
 from ...scenario.device import VoltageDevice
 from ...scenario.limb import limb_tissues
-from ...tissue import resolve_tissues
+from ...scenario.model import resolve_tissues
+from ...tissue import LAWS as BUILT_IN
+from ...tissue import law
 from ...typing import FloatArray
 from ...usercode import is_code
 

@@ -16,12 +16,11 @@ import numpy as np
 from ... import __version__
 from ...device import close_loop
 from ...engines.forecast import check_samples
+from ...engines.layered import LayeredArm
 from ...engines.simulation import simulate
 from ...errors import AccuracyWarning, ForearmError, ReductionError, ScenarioError
 from ...fem.kernels.compiled import freed_memory_kept
 from ...geometry.device.layout import planform_ports
-from ...laws import LAWS as BUILT_IN
-from ...laws import REFERENCE
 from ...measurement.chain import reported
 from ...notebook import Manners, place
 from ...ports import is_thesis_grid
@@ -32,18 +31,20 @@ from ...rendering.limits import counted_points
 from ...results.draws import DRAWS_FILE, KEPT, READINGS, DrawsFile, Outcome
 from ...results.files import TransferFile
 from ...scenario import Scenario
-from ...scenario.load import code_files, contents, named_files
+from ...scenario.model import resolve_tissues
 from ...scenario.sweep import frequencies
+from ...scenario.text import code_files, contents, named_files
 from ...store.folder import check_kind, set_kind
 from ...store.record import save
 from ...store.shelf import WORK, Shelf
 from ...store.text import digest_of
 from ...store.work import LOST, done_once, light_workers, spread
-from ...tissue import resolve_tissues
+from ...tissue import LAWS as BUILT_IN
+from ...tissue import REFERENCE
 from ...transfer import UNITS, ErrorEstimate, finite, total_error
 from ...typing import FloatArray
 from ...usercode import is_code, with_code_beside
-from .arm import ArmModel, LayeredArm, arm_model
+from .arm import ArmModel, arm_model
 from .draws import (
     FASCIA,
     LAWS,
@@ -158,8 +159,9 @@ class Question:
 class Prediction(Manners):
     """S of the scene itself with its numerical interval (``nominal``), and what arms do to it (``draws``).
 
-    ``left_out`` says what the arms' model has not, ``unknown`` what of its error is in no band, ``held`` which inputs
-    kept the scenario's values, ``reused`` how many draws were there before, ``seconds`` what this call took.
+    left_out, unknown : properties that the arms' model has not, and errors of it that are in no band
+    held : inputs that kept the scenario's values
+    reused, seconds : draws that were there before, and the time that this call took
     """
 
     question: Question

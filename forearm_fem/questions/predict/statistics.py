@@ -15,11 +15,11 @@ from scipy.stats import multivariate_normal, rankdata
 
 from ... import __version__
 from ...errors import DataError, MissingExtra
-from ...laws import REFERENCE
 from ...metrics.strength import GROUPS
 from ...results.draws import READINGS, Outcome
+from ...scenario.model import resolve_tissues
 from ...store.text import write_json
-from ...tissue import resolve_tissues
+from ...tissue import REFERENCE
 from ...typing import BoolArray, FloatArray
 from .draws import SOFT, kept_tissues
 

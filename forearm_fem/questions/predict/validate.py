@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ... import __version__
-from ...engines.layered import flat_layers, flat_membrane
+from ...engines.layered import flat_layers, flat_membrane, without_bones
 from ...errors import DataError, ForearmError, ScenarioError
 from ...geometry.device.layout import planform_ports
 from ...layered import Disc, Layer, Surface, layered_compliance
@@ -34,7 +34,6 @@ from ...store.work import done_once
 from ...transfer import TransferMatrix
 from ...typing import ComplexArray, FloatArray
 from ...usercode import is_code
-from .arm import without_bones
 from .draws import LAWS, draw_inputs, expanded, is_bare, load_priors, scenario_of, taped
 from .run import Prediction, Question, check_question, predict
 from .statistics import (

@@ -45,7 +45,7 @@ from ...transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_
 from ...typing import FloatArray
 from ..data import PREDICTION, Results
 from ..style import METHODS, TISSUES
-from .anywhere import Anywhere, anywhere_of, packed_anywhere
+from .anywhere import Anywhere, Places, anywhere_of, packed_anywhere, patch_field, places_of
 from .field import (
     Field,
     amplitudes_in_half_precision,
@@ -55,7 +55,6 @@ from .field import (
     packed,
     solved_field,
 )
-from .places import Places, patch_field, places_of
 
 FORMAT = 1  # of the content; the page's own files carry it too
 _ARMS = 8  # drawn arms that a page holds: 1.5 MB of the thesis' scene

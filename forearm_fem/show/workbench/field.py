@@ -19,7 +19,7 @@ from ...scenario import Scenario
 from ...typing import ComplexArray, FloatArray, IntArray
 from ..data import Results
 from ..film import body_of
-from ..scene import MM, volume_grid
+from ..motion import MM, volume_grid
 
 Kind = Literal["f4", "f8", "i2", "u2", "u4", "i4", "u1", "c8", "c16"]
 
