@@ -12,7 +12,7 @@ from ..assembly.model import ForearmModel
 from ..assembly.operator import AffineOperator, WeightedSum
 from ..kernels.compiled import in_threads
 from ..linear.direct import watched
-from .affine import AffineReduced, with_last_columns
+from .affine import AffineReduced, combined, with_last_columns
 from .basis import rough_extension
 
 # What one term after the other is multiplied with, storage and loss: of shear, of masses and sheets.
@@ -54,8 +54,8 @@ def _residuals(model: ForearmModel, reduced: AffineReduced, frequency: FloatArra
     for k in range(0, len(moduli), together):
         some = moduli[k : k + together]
         states = in_threads(lambda theta: _states(reduced, theta, loaded), some)
-        combined = reduced.basis.combination(np.hstack([part for x in states for part in (x.real, x.imag)]))
-        for t, (theta, parts) in enumerate(zip(some, np.split(combined, len(some), axis=1), strict=True), start=k):
+        columns = reduced.basis.combination(np.hstack([part for x in states for part in (x.real, x.imag)]))
+        for t, (theta, parts) in enumerate(zip(some, np.split(columns, len(some), axis=1), strict=True), start=k):
             real, imaginary = np.hsplit(parts, 2)
             x = real + 1j * imaginary
             left = model.functionals[:, loaded] - WeightedSum(operator.matrices, theta).product(x)
@@ -67,7 +67,8 @@ def _residuals(model: ForearmModel, reduced: AffineReduced, frequency: FloatArra
 def _states(reduced: AffineReduced, theta: ComplexArray, loaded: Sequence[int]) -> ComplexArray:
     """Reduced solutions (r, n_force) where the terms have the coefficients ``theta``."""
     forces = reduced.functionals[:, loaded].astype(complex)
-    return np.asarray(np.linalg.solve(np.tensordot(theta, reduced.matrices, 1), forces))
+    matrix = combined(theta, reduced.matrices.reshape(len(theta), -1)).reshape((reduced.size,) * 2)
+    return np.asarray(np.linalg.solve(matrix, forces))
 
 
 def _other_moduli(operator: AffineOperator, frequency: FloatArray) -> Iterator[ComplexArray]:
