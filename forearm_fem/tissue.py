@@ -1,8 +1,9 @@
 """Tissues: a law of the shear modulus, density, bulk modulus, and five sourced presets.
 
 A law is a complex shear modulus mu*(omega), a small class, which says all that is known of it. Time dependence
-e^{+i omega t}, so a passive tissue has Im mu*(omega) >= 0 for omega > 0 and mu*(-omega) = conj mu*(omega). Not covered:
-anisotropy and pre-stress (the skin's pre-stress is a membrane term, ``scenario.tissues``).
+e^{+i omega t}, so a passive tissue has Im mu*(omega) >= 0 for omega > 0 and mu*(-omega) = conj mu*(omega). Fibres along
+the limb make a tissue stiffer along than across (:class:`Tissue`). Not covered: pre-stress (the skin's is a membrane
+term, ``scenario.tissues``), fibres in other directions.
 """
 
 from __future__ import annotations
@@ -234,15 +235,17 @@ def law(model: str) -> type[Law]:
 
 @dataclass(frozen=True)
 class Tissue:
-    """An isotropic tissue: density [kg/m^3], shear modulus, bulk modulus [Pa] (inf = incompressible).
+    """A tissue: density [kg/m^3], shear modulus, bulk modulus [Pa] (inf = incompressible).
 
-    Wave properties are for omega > 0.
+    ``fibres`` is the ratio of shear stiffness along the limb to across, storage and loss alike: the shears xy and xz
+    have mu* sqrt(fibres), all else has mu* / sqrt(fibres); 1 = none. Wave properties are for omega > 0.
     """
 
     name: str
     density: float
     modulus: Law
     bulk: float = math.inf
+    fibres: float = 1.0
 
     @property
     def incompressible(self) -> bool:
@@ -250,9 +253,10 @@ class Tissue:
         return math.isinf(self.bulk)
 
     def wavenumber(self, omega: ArrayLike) -> ComplexArray:
-        """Shear wavenumber k = omega sqrt(rho / mu*) [1/m], Im k <= 0 (the wave is e^{i(omega t - k x)})."""
+        """Shear wavenumber k = omega sqrt(rho / mu*) [1/m], Im k <= 0 (the wave is e^{i(omega t - k x)}); of the
+        slowest wave where there are fibres."""
         w = np.asarray(omega, dtype=float)
-        return np.asarray(w * np.sqrt(self.density / self.modulus.at(w)))
+        return np.asarray(w * np.sqrt(self.density / self.modulus.at(w)) * max(self.fibres, 1 / self.fibres) ** 0.25)
 
     def wave_speed(self, omega: ArrayLike) -> FloatArray:
         """Phase speed omega / Re k of a plane shear wave [m/s] (physics_data.md 8.1)."""
@@ -310,7 +314,7 @@ def parameters_of(model: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
 def tissue_of(name: str, model: str, values: Mapping[str, float]) -> Tissue:
     """The tissue that these numbers (SI) describe; they must be complete for the model."""
     modulus = law(model)(**{key: values[key] for key in parameters_of(model)[1] if key in values})
-    return Tissue(name, values["density"], modulus, values["bulk"])
+    return Tissue(name, values["density"], modulus, values["bulk"], values.get("fibres", 1.0))
 
 
 def _density(value: float, low: float, high: float, spread: float) -> Sourced:

@@ -37,6 +37,12 @@ def shear(u, v, w):
 
 
 @skfem.BilinearForm
+def fibres(u, v, w):
+    e, d = sym_grad(u), sym_grad(v)
+    return 4 * (e[0, 1] * d[0, 1] + e[0, 2] * d[0, 2])
+
+
+@skfem.BilinearForm
 def mass(u, v, w):
     return dot(u, v)
 

@@ -63,9 +63,10 @@ def collapsed_gauss(n):
 @pytest.mark.parametrize("region", [0, 1])
 def test_matrices_equal_skfem(element, region):
     space = bent_block(element)
-    fast = tissue_matrices(space, region, reference_tensors(space))
+    fast = tissue_matrices(space, region, reference_tensors(space), fibres=True)
     vector, _ = slow.bases(space, region)
     assert distance(fast.shear, slow.shear.assemble(vector)) < SAME
+    assert distance(fast.fibres, slow.fibres.assemble(vector)) < SAME
     assert distance(fast.mass, slow.mass.assemble(vector)) < SAME
 
 
@@ -74,10 +75,11 @@ def test_matrices_equal_skfem(element, region):
 def test_compiled_kernels_equal_sorting(element, region, monkeypatch):
     """Values in canonical order, and of what scipy does not add up (it drops zeros then) the very same pattern."""
     space = bent_block(element)
-    fast = tissue_matrices(space, region, reference_tensors(space))
+    fast = tissue_matrices(space, region, reference_tensors(space), fibres=True)
     monkeypatch.setattr(assembly, "compiled", lambda _: None)
-    obvious = tissue_matrices(space, region, reference_tensors(space))
-    for name in ("shear", "mass", "divergence", "pressure_mass"):
+    monkeypatch.setattr(assembly, "_FIBRES_AT_ONCE", 7)
+    obvious = tissue_matrices(space, region, reference_tensors(space), fibres=True)
+    for name in ("shear", "fibres", "mass", "divergence", "pressure_mass"):
         mine, other = getattr(fast, name), getattr(obvious, name)
         assert mine.has_canonical_format
         assert distance(mine, other) < SAME

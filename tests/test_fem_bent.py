@@ -42,10 +42,11 @@ def same(fast, oracle, tolerance):
 def test_matrices_equal_skfems_isoparametric_ones(element, tolerance, region):
     """scikit-fem's rule is of degree 9, ours of 6 for P2: integrands are rational, so rules differ a little."""
     space = mixed_space(bent_block(), element)
-    fast = tissue_matrices(space, region, reference_tensors(space))
+    fast = tissue_matrices(space, region, reference_tensors(space), fibres=True)
     vector, _ = slow.bases(space, region)
     assert np.array_equal(vector.element_dofs[::3].T, 3 * space.nodes[space.mesh.region == region])
     same(fast.shear, slow.shear.assemble(vector), tolerance)
+    same(fast.fibres, slow.fibres.assemble(vector), tolerance)
     same(fast.mass, slow.mass.assemble(vector), tolerance)
 
 
@@ -53,9 +54,9 @@ def test_matrices_equal_skfems_isoparametric_ones(element, tolerance, region):
 def test_compiled_kernels_equal_numpy_alone(element, monkeypatch):
     space = mixed_space(bent_block(), element)
     assert 0 < space.is_bent.sum() < len(space.is_bent)
-    fast = tissue_matrices(space, 0, reference_tensors(space))
+    fast = tissue_matrices(space, 0, reference_tensors(space), fibres=True)
     monkeypatch.setattr(assembly, "compiled", lambda name: None)
-    plain = tissue_matrices(space, 0, reference_tensors(space))
+    plain = tissue_matrices(space, 0, reference_tensors(space), fibres=True)
     for name in (f.name for f in fields(TissueMatrices)):
         same(getattr(fast, name), getattr(plain, name), ROUNDING)
 
@@ -73,10 +74,13 @@ def test_linear_fields_have_their_energy_and_rigid_ones_none(element):
     field, spin = (places @ each.T for each in (slope, slope - slope.T))
     identity = assembly.csr_array(assembly.eye_array(3 * len(places), format="csr"))
     for region, volume in enumerate(np.bincount(mesh.region, true_volumes(mesh))):
-        parts = constrained_matrices(orders, region, identity)
+        parts = constrained_matrices(orders, region, identity, fibres=True)
         energy = field.ravel() @ (parts.shear @ field.ravel())
         assert energy == pytest.approx(2 * (shearing**2).sum() * volume, rel=ROUNDING)
-        assert abs(parts.shear @ spin.ravel()).max() < ROUNDING * abs(parts.shear @ field.ravel()).max()
+        along = field.ravel() @ (parts.fibres @ field.ravel())
+        assert along == pytest.approx(4 * (strain[0, 1] ** 2 + strain[0, 2] ** 2) * volume, rel=ROUNDING)
+        for stiffness in (parts.shear, parts.fibres):
+            assert abs(stiffness @ spin.ravel()).max() < ROUNDING * abs(stiffness @ field.ravel()).max()
         assert (parts.divergence @ field.ravel()).sum() == pytest.approx(np.trace(slope) * volume, rel=ROUNDING)
         assert parts.pressure_mass.sum() == pytest.approx(volume, rel=ROUNDING)
         assert parts.mass.sum() == pytest.approx(3 * volume, rel=ROUNDING)

@@ -146,6 +146,7 @@ def test_the_file_is_an_engine(solved):
         ({"device.cone.radius": 0.004}, "device"),
         ({"device.actuator": "ERM"}, "device.actuator"),
         ({"tissues.override.muscle.bulk": 1e8}, "tissues.override.muscle"),
+        ({"tissues.override.muscle.fibres": 2.0}, "tissues.override.muscle.fibres"),
         ({"tissues.membrane.tension": 5.0}, "tissues.membrane"),
     ],
 )

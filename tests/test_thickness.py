@@ -33,6 +33,7 @@ DEVICE = {
 }  # fmt: skip
 LAYERS = [{"tissue": "skin", "thickness": 1.2e-3}, {"tissue": "fat", "thickness": 3e-3}]
 SLAB = {**DEVICE, "limb": {"shape": "slab", "length": 0.05, "width": 0.04, "depth": 0.012, "layers": LAYERS}}
+FIBRES = {"override": {"skin": {"fibres": 3.0}, "fat": {"fibres": 0.3}}}
 # along its longest side unknowns are numbered, where nothing moves
 ROUND = {**DEVICE, "limb": {"shape": "cylinder", "length": 0.06, "diameter": 0.054, "layers": LAYERS}}
 
@@ -80,7 +81,7 @@ def size(matrix: csr_array) -> float:
 
 def test_flat_layers_follow_their_thickness_exactly():
     """s K_t + K_c + K_n / s and the like: rounding is left, where a quarter changes."""
-    scene = parse_scenario(SLAB)
+    scene = parse_scenario({**SLAB, "tissues": FIBRES})
     others, drawn = [thick(scene, 0.8e-3, 2e-3), thick(scene, 2e-3, 4.5e-3)], thick(scene, 1.7e-3, 2.2e-3)
     assert max(misfit(scene, others, drawn, following=True)) < 1e-13
     assert misfit(scene, others, drawn, following=False)[0] > 0.05
@@ -88,7 +89,7 @@ def test_flat_layers_follow_their_thickness_exactly():
 
 def test_bent_layers_follow_to_a_thousandth():
     """Six powers leave the second order of thickness over radius: 2e-4 of the stiffness here. First order is quick."""
-    scene = parse_scenario({**ROUND, "mesh": {**ROUND["mesh"], "element": "P1"}})
+    scene = parse_scenario({**ROUND, "mesh": {**ROUND["mesh"], "element": "P1"}, "tissues": FIBRES})
     others, drawn = [thick(scene, 0.8e-3, 1.5e-3), thick(scene, 1.9e-3, 6e-3)], thick(scene, 1e-3, 5e-3)
     assert max(misfit(scene, others, drawn, following=True)) < 1e-3
 

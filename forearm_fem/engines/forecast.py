@@ -34,7 +34,7 @@ from ..scenario.limb import MeshLimb, SlabLimb, SurfacesLimb
 from ..scenario.model import for_elements_only, resolve_tissues
 from ..scenario.sweep import FrequencyList, ReducedSolve, frequencies
 from ..transfer import finite
-from .layered import solve_layered
+from .layered import solve_layered, without_fibres
 
 # Seconds and peak memory of each stage.
 
@@ -265,7 +265,7 @@ def check_samples(scenario: Scenario) -> None:
     """
     if not _between(scenario) or isinstance(scenario.limb, MeshLimb | SurfacesLimb):
         return
-    bare = scenario.changed({"tissues.patch": None})
+    bare = without_fibres(scenario.changed({"tissues.patch": None}))
     try:
         g = finite(close_loop(solve_layered(bare, frequencies(scenario.sweep)), scenario.device))
     except ForearmError:  # in words of its own, when it is solved

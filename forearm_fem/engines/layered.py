@@ -49,7 +49,7 @@ class LayeredEngine:
 
     def holds(self, scenario: Scenario) -> str:
         """See :class:`.Engine`: limbs of layers."""
-        return _no_layers(scenario) if isinstance(scenario.limb, MeshLimb | SurfacesLimb) else ""
+        return _no_layers(scenario) if isinstance(scenario.limb, MeshLimb | SurfacesLimb) else fibrous(scenario)
 
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """See :class:`.Engine`."""
@@ -137,10 +137,12 @@ def flat_disc(port: Port) -> Disc:
 
 
 def flat_layers(scenario: Scenario) -> list[Layer]:
-    """The limb's layers on a half-space of its core; :class:`ScenarioError` for a limb without layers."""
+    """The limb's layers on a half-space of its core; :class:`ScenarioError` for a limb without layers, or fibres."""
     limb, tissues = scenario.limb, resolve_tissues(scenario)
     if isinstance(limb, MeshLimb | SurfacesLimb):
         raise ScenarioError(_no_layers(scenario))
+    if reason := fibrous(scenario):
+        raise ScenarioError(reason)
     stack = [(layer.tissue, layer.thickness) for layer in layers_of(limb)] + [(limb.core, math.inf)]
     return [Layer(h, tissues[t].density, tissues[t].modulus.at, tissues[t].bulk) for t, h in stack]
 
@@ -176,6 +178,23 @@ def flat_notes(compliance: Compliance) -> tuple[str, ...]:
             "elements, cannot tilt or slide"
         )
     return tuple(notes)
+
+
+def fibrous(scenario: Scenario) -> str:
+    """Reason that the layered model cannot have the limb's tissues, as one has fibres; empty where none has."""
+    tissues = resolve_tissues(scenario)
+    for name in dict.fromkeys(scenario.tissue_keys.values()):
+        if (ratio := tissues[name].fibres) != 1:
+            return (
+                f"tissues.override.{name}.fibres: waves of the layered model have no preferred direction, so that it "
+                f"takes 1 (none), is {ratio:g}; set engine = 'fem', or leave it out"
+            )
+    return ""
+
+
+def without_fibres(scenario: Scenario) -> Scenario:
+    """The same with each tissue's mean stiffness in all directions."""
+    return scenario.changed({f"tissues.override.{t}.fibres": None for t in scenario.tissues.override})
 
 
 def _no_layers(scenario: Scenario) -> str:

@@ -78,7 +78,8 @@ class Ranges:
         tissues, data = resolve_tissues(scenario), scenario.model_dump(mode="json", exclude_none=True)
         last = 3 * len(names)
         for name, place in zip(names, places[:last].reshape(-1, 3), strict=True):
-            kept = {k: v for k, v in data["tissues"]["override"].get(name, {}).items() if k in ("density", "bulk")}
+            own = data["tissues"]["override"].get(name, {})
+            kept = {key: value for key, value in own.items() if key in ("density", "bulk", "fibres")}
             stiff, viscous = self.moduli ** (2 * place[:2] - 1)
             near = law_class(law).near(tissues[name].modulus, 2 * np.pi * _TYPICAL, stiff, viscous, place[2])
             data["tissues"]["override"][name] = {**kept, **near.stated(law)}

@@ -179,6 +179,8 @@ def unfollowed(before: Scenario, after: Scenario, terms: Sequence[str], *, unrea
     for name, tissue in old.items():
         if name in new and new[name].bulk != tissue.bulk:
             return f"tissues.override.{name}: {_NOT_AFFINE}"
+        if name in new and new[name].fibres != tissue.fibres:
+            return f"tissues.override.{name}.fibres: the reduced model holds for the old ratio only; solve it anew"
     if missing := [name for name, value in _sheets(after).items() if value and name not in terms]:
         key = "patch" if missing[0].startswith("patch") else "membrane"
         return f"tissues.{key}: the reduced model has no {missing[0]}; solve the scenario anew"

@@ -269,6 +269,11 @@ class TissueOverride(Part):
 
     density: Annotated[float, Within(100, 10000, "kg/m^3")] | None = Field(None, description="kg/m^3")
     mu: Modulus | None = Field(None, description="storage (shear) modulus [Pa]")
+    fibres: Annotated[float, Within(0.01, 100)] | None = Field(
+        None,
+        description="shear stiffness along the limb (x) over that across [-], loss alike, mu the geometric mean; 1 "
+        "where left out: none; finite elements alone have fibres",
+    )
     eta: Viscosity | None = Field(None, description="shear viscosity [Pa s]")
     bulk: Modulus | Literal["incompressible"] | None = Field(None, description="bulk modulus [Pa]")
     law: LawName | UserCode | None = Field(

@@ -446,7 +446,7 @@ def _overridden(name: str, record: TissueRecord | None, override: TissueOverride
         kept = {key: kept[key] for key in ("density", "bulk")}
     needed, taken = parameters_of(model)
     for key in given:
-        if key not in {"density", "bulk", *taken}:
+        if key not in {"density", "bulk", "fibres", *taken}:
             raise ScenarioError(f"{path}.{key}: has no effect with the {model} law; remove it or set {path}.law")
     v = {**kept, **given}
     if missing := [key for key in ("density", "bulk", *needed) if key not in v]:

@@ -27,7 +27,10 @@ _ENGINES = {"fem": "finite elements", "layered": "layered model (semi-analytic; 
 def scene_block(results: Results) -> Block:
     """Scene asked for, in a reader's words."""
     s = results.scenario
-    changed = ", ".join(s.tissues.override)
+    changed = ", ".join(
+        name if override.fibres in (None, 1) else f"{name} (fibres: {override.fibres:g} times as stiff along the limb)"
+        for name, override in s.tissues.override.items()
+    )
     own = [key for key in s.changed_keys() if key not in ("name", "description")]
     of_limb = "scenario" in results.transfer.provenance
     solved = [

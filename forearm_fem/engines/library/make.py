@@ -18,7 +18,7 @@ from ...scenario.model import resolve_tissues
 from ...store.record import load, said_content, save
 from ...tissue import KelvinVoigt
 from ...typing import ComplexArray, FloatArray
-from ..layered import flat_layers, flat_surface, kept_tables, tables_reach
+from ..layered import fibrous, flat_layers, flat_surface, kept_tables, tables_reach
 from .arm import WIDTH, ArmLibrary, library_band, library_skin
 from .between import Bands, Lattice
 from .side import BIN, LoadedSkin, MeshPart, modal_compliance, solved_side
@@ -62,6 +62,8 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
                 f"{key}: a library starts from one real rate and needs Kelvin-Voigt tissue, but {name} is not; set "
                 f"tissues.override.{name}.law = 'kelvin-voigt'"
             )
+    if reason := fibrous(scenario):
+        raise ScenarioError(f"{reason.partition('; ')[0]}; a library needs that model beside the mesh: leave it out")
     loaded = loaded_skin(scenario)
     _check_size(scenario, len(loaded.bells.centres))
     meshed = meshed_scenario(scenario, loaded.skin)

@@ -163,7 +163,7 @@ def term_coefficient(
     patch: Patch = _NO_PATCH,
     stretches: Mapping[str, Stretch] = MappingProxyType({}),
 ) -> Coefficient:
-    """theta(omega) of a term: "shear fat", "mass fat", "dashpots fat", "foam", "skin tension" and the like.
+    """theta(omega) of a term: "shear fat", "fibres fat", "mass fat", "dashpots fat", "foam", "skin tension" and others.
 
     Those of other thicknesses (:mod:`forearm_fem.fem.assembly.thickness`) take the ``stretches`` of tissues, by
     default none. Raises KeyError for a name that no term has.
@@ -193,7 +193,10 @@ def term_coefficient(
 
 def _of_tissue(kind: str, tissue: Tissue) -> Coefficient:
     if kind == "shear":
-        return tissue.modulus
+        return tissue.modulus if tissue.fibres == 1 else Scaled(tissue.fibres**-0.5, tissue.modulus)
+    if kind == "fibres":
+        share = tissue.fibres**0.5 - tissue.fibres**-0.5
+        return Scaled(share, tissue.modulus) if share else Polynomial()
     if kind in ("incompressibility", "compression"):
         return _ONE
     return {"mass": Polynomial(inertia=tissue.density), "dashpots": _dashpots(tissue)}[kind]
@@ -201,7 +204,8 @@ def _of_tissue(kind: str, tissue: Tissue) -> Coefficient:
 
 def _dashpots(tissue: Tissue) -> Coefficient:
     """i omega rho c_s (Lysmer and Kuhlemeyer 1969): of the static modulus where it is Kelvin-Voigt, which keeps A a
-    polynomial; else sqrt(rho mu*(omega)), as a springpot has no static modulus."""
+    polynomial; else sqrt(rho mu*(omega)), as a springpot has no static modulus. Of the mean modulus where there are
+    fibres."""
     if is_polynomial(tissue.modulus):
         return Polynomial(rate=float(np.sqrt(tissue.density * np.abs(tissue.modulus.at(np.array([0.0]))[0]))))
     return Impedance(tissue.density, tissue.modulus)

@@ -93,18 +93,27 @@ def build_model(
     rules = LinearConstraints(orders.carried(kept.transform), kept.masters)
     order = _order(space, rules)
     kept, rules = kept.renumbered(order), rules.renumbered(order)
-    names = mesh.region_names
+    names, fibrous = mesh.region_names, [tissues[name].fibres != 1 for name in mesh.region_names]
+
+    def assembled(region: int) -> TissueMatrices:
+        """Matrices of one tissue."""
+        return constrained_matrices(orders, region, kept.transform, fibres=fibrous[region])
+
     with ThreadPoolExecutor(_AT_A_TIME) as pool:  # sparse products and sums run without Python's lock
-        parts = list(pool.map(lambda region: constrained_matrices(orders, region, kept.transform), range(len(names))))
+        parts = list(pool.map(assembled, range(len(names))))
     displacement: Matrices = []
     for name, part in zip(names, parts, strict=True):
         displacement += [(f"shear {name}", part.shear), (f"mass {name}", part.mass)]
+        if part.fibres is not None:
+            displacement.append((f"fibres {name}", part.fibres))
     displacement += _boundaries(space, supports, membrane, patch, rules.transform)
     more = dict[str, csr_array]()
     if motion is not None:
         ends = {name: matrix for name, matrix in displacement if name.startswith("dashpots ")}
         more = thickness_terms(
-            motion, {**_by_tissue(names, parts), **ends}, lambda other: _moved(orders, kept, rules, supports, other)
+            motion,
+            {**_by_tissue(names, parts), **ends},
+            lambda other: _moved(orders, kept, rules, supports, other, fibrous),
         )
     operator = _with_pressure(
         names, parts, tissues, displacement, lambda name: term_coefficient(name, tissues, supports, membrane, patch),
@@ -119,18 +128,25 @@ def build_model(
 
 def _by_tissue(names: Sequence[str], parts: Sequence[TissueMatrices]) -> dict[str, csr_array]:
     """Matrices of all tissues by what they are, such as "shear fat" and "divergence fat"."""
-    kinds = {"shear": "shear", "mass": "mass", "divergence": "incompressibility", "pressure_mass": "compression"}
-    return {f"{kind} {name}": getattr(part, of) for name, part in zip(names, parts, strict=True)
-            for of, kind in kinds.items()}  # fmt: skip
+    kinds = {"shear": "shear", "mass": "mass", "divergence": "incompressibility", "pressure_mass": "compression",
+             "fibres": "fibres"}  # fmt: skip
+    return {f"{kind} {name}": matrix for name, part in zip(names, parts, strict=True)
+            for of, kind in kinds.items() if (matrix := getattr(part, of)) is not None}  # fmt: skip
 
 
 def _moved(
-    orders: Orders, kept: LinearConstraints, rules: LinearConstraints, supports: Supports, mesh: TissueMesh
+    orders: Orders,
+    kept: LinearConstraints,
+    rules: LinearConstraints,
+    supports: Supports,
+    mesh: TissueMesh,
+    fibrous: Sequence[bool],
 ) -> dict[str, csr_array]:
     """The same, and the dashpots of cut ends, on a ``mesh`` whose points have moved."""
     there = replace(orders, low=replace(orders.low, mesh=mesh), high=replace(orders.high, mesh=mesh))
     names = mesh.region_names
-    found = _by_tissue(names, [constrained_matrices(there, r, kept.transform) for r in range(len(names))])
+    parts = [constrained_matrices(there, r, kept.transform, fibres=f) for r, f in enumerate(fibrous)]
+    found = _by_tissue(names, parts)
     if supports.ends == "absorb" and "end" in mesh.facets:
         found |= {name: congruent(m, rules.transform) for name, m in _dashpots(there.high, mesh.facets["end"])}
     return found

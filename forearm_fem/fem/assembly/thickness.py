@@ -21,10 +21,10 @@ from ...scenario.limb import Limb, SlabLimb
 from ...typing import FloatArray
 
 Powers = tuple[tuple[int, int], ...]  # of scale and offset
-_FLAT: Mapping[str, Powers] = {"shear": ((1, 0), (-1, 0))}
+_FLAT: Mapping[str, Powers] = dict.fromkeys(("shear", "fibres"), ((1, 0), (-1, 0)))
 _FLAT_OTHERS: Powers = ((1, 0),)
 _BENT: Mapping[str, Powers] = {
-    "shear": ((1, 0), (-1, 0), (2, 0), (0, 1), (1, 1), (-1, 1)),
+    **dict.fromkeys(("shear", "fibres"), ((1, 0), (-1, 0), (2, 0), (0, 1), (1, 1), (-1, 1))),
     "incompressibility": ((1, 0), (2, 0), (0, 1), (1, 1)),
 }
 _BENT_OTHERS: Powers = ((1, 0), (2, 0), (1, 1))

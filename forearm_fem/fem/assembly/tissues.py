@@ -7,7 +7,7 @@ bend there is one (:func:`bent_matrices`). Equality with scikit-fem's own forms 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -24,6 +24,10 @@ from ..space.orders import Orders
 
 _MORE = 2  # degrees of the rule for bent tetrahedra beyond what is exact where edges are straight
 _BENT_AT_ONCE = 250  # of them, whose matrices stay in the cache
+_FIBRES_AT_ONCE = 1000  # tetrahedra, whose matrices take some ten megabytes
+
+
+_Blocks = Iterator[tuple[IntArray, FloatArray]]  # some tetrahedra by number, and 3x3 blocks of their matrices
 
 
 @dataclass(frozen=True)
@@ -54,22 +58,24 @@ class TissueMatrices:
     """Real matrices of one tissue, over all unknowns of a space before constraints, or over those solved for.
 
     ``shear`` per unit shear modulus, ``mass`` per unit density (both n_u x n_u), ``divergence`` (n_p x n_u) and
-    ``pressure_mass`` (n_p x n_p).
+    ``pressure_mass`` (n_p x n_p); ``fibres`` as ``shear``, where they are asked for.
     """
 
     shear: csr_array
     mass: csr_array
     divergence: csr_array
     pressure_mass: csr_array
+    fibres: csr_array | None = None
 
 
 def tissue_matrices(
-    space: MixedSpace, region: int, reference: ReferenceTensors, *, only: BoolArray | None = None
+    space: MixedSpace, region: int, reference: ReferenceTensors, *, only: BoolArray | None = None, fibres: bool = False
 ) -> TissueMatrices:
     r"""Matrices of one tissue, from its tetrahedra among ``only`` (n_tet,).
 
     shear: :math:`\int 2\,\epsilon(u):\epsilon(v) - \tfrac23 \nabla\cdot u\,\nabla\cdot v`; mass: :math:`\int u\cdot v`;
-    divergence: :math:`\int q\,\nabla\cdot u`; pressure mass: :math:`\int p q` (scaled by -1/bulk in the operator).
+    divergence: :math:`\int q\,\nabla\cdot u`; pressure mass: :math:`\int p q` (scaled by -1/bulk in the operator);
+    fibres: :math:`\int \gamma_{xy}(u)\gamma_{xy}(v) + \gamma_{xz}(u)\gamma_{xz}(v)`, shear's part that holds x.
     """
     chosen = np.flatnonzero(space.mesh.region == region if only is None else only & (space.mesh.region == region))
     jacobian = space.jacobians[chosen]
@@ -77,11 +83,17 @@ def tissue_matrices(
     volume = np.abs(np.asarray(np.linalg.det(jacobian), dtype=float))
     volume[space.is_bent[chosen]] = 0.0  # these are added piece by piece
     build = _by_sorting if compiled("kernels.scatter") is None else _by_kernels
-    return build(space, chosen, inverse, volume, reference)
+    along = _fibre_blocks(space, chosen, inverse, volume, reference.gradient) if fibres else None
+    return build(space, chosen, inverse, volume, reference, along)
 
 
 def _by_kernels(
-    space: MixedSpace, chosen: IntArray, inverse: FloatArray, volume: FloatArray, reference: ReferenceTensors
+    space: MixedSpace,
+    chosen: IntArray,
+    inverse: FloatArray,
+    volume: FloatArray,
+    reference: ReferenceTensors,
+    along: _Blocks | None,
 ) -> TissueMatrices:
     """With the compiled kernels of :mod:`forearm_fem.fem.kernels.scatter`."""
     kernels: Any = compiled("kernels.scatter")
@@ -100,6 +112,9 @@ def _by_kernels(
         kernels.add_scalars_in_place(masses, pairs, bent[piece], part.mass)
         kernels.add_gradients_in_place(divergence, mixed, bent[piece], part.divergence)
         kernels.add_scalars_in_place(storage, paired, bent[piece], part.pressure_mass)
+    stiff = None if along is None else np.zeros_like(shear)
+    for some, blocks in along or ():
+        kernels.add_blocks_in_place(stiff, pairs, nodes, some, blocks)
     starts, columns = kernels.blocks_of(pairs.indptr, pairs.indices, 3)
     scalar_starts, scalar_columns, masses = kernels.diagonals_of(pairs.indptr, pairs.indices, masses)
     mixed_starts, mixed_columns = kernels.blocks_of(mixed.indptr, mixed.indices, 1)
@@ -108,11 +123,17 @@ def _by_kernels(
         csr_array((masses, scalar_columns, scalar_starts), shape=(n_u, n_u)),
         csr_array((divergence, mixed_columns, mixed_starts), shape=(n_p, n_u)),
         csr_array((storage, paired.indices, paired.indptr), shape=(n_p, n_p)),
+        None if stiff is None else csr_array((stiff, columns, starts), shape=(n_u, n_u)),
     )
 
 
 def _by_sorting(
-    space: MixedSpace, chosen: IntArray, inverse: FloatArray, volume: FloatArray, reference: ReferenceTensors
+    space: MixedSpace,
+    chosen: IntArray,
+    inverse: FloatArray,
+    volume: FloatArray,
+    reference: ReferenceTensors,
+    along: _Blocks | None,
 ) -> TissueMatrices:
     """With NumPy alone, element pairs sorted."""
     nodes, pressures = space.nodes[chosen], space.pressures[chosen]
@@ -123,6 +144,11 @@ def _by_sorting(
     for piece, part in bent_matrices(space, chosen[bent]):
         blocks[:, :, bent[piece]], divergence[:, bent[piece]] = part.shear, part.divergence
         mass[bent[piece]], storage[bent[piece]] = part.mass, part.pressure_mass
+    stiff: FloatArray | None = None
+    if along is not None:
+        stiff = np.zeros_like(blocks)
+        for some, stiffer in along:
+            stiff[:, :, some] = stiffer
     n, n_u, n_p = space.n_nodes, space.n_displacements, space.n_pressures
     parts = [scatter(pressures, 3 * nodes + i, divergence[i], (n_p, n_u)) for i in range(3)]
     return TissueMatrices(
@@ -130,39 +156,44 @@ def _by_sorting(
         csr_array(kron(scatter(nodes, nodes, mass, (n, n)), np.eye(3), format="csr")),
         csr_array(parts[0] + parts[1] + parts[2]),
         scatter(pressures, pressures, storage, (n_p, n_p)),
+        None if stiff is None else scatter_blocks(nodes, nodes, stiff, (n, n)),
     )
 
 
-def constrained_matrices(orders: Orders, region: int, transform: csr_array) -> TissueMatrices:
+def _fibre_blocks(
+    space: MixedSpace, chosen: IntArray, inverse: FloatArray, volume: FloatArray, reference: FloatArray
+) -> _Blocks:
+    """Blocks (3, 3, k, nb, nb) of the energy of both shears with x, of some of the ``chosen`` tetrahedra at a time."""
+    straight, bent = (np.flatnonzero(space.is_bent[chosen] == which) for which in (False, True))
+    for some in np.split(straight, range(_FIBRES_AT_ONCE, len(straight), _FIBRES_AT_ONCE)):
+        yield some, shear_blocks(inverse[some], volume[some], reference, _along_fibres)
+    for piece, part in bent_matrices(space, chosen[bent], _along_fibres):
+        yield bent[piece], part.shear
+
+
+def constrained_matrices(orders: Orders, region: int, transform: csr_array, *, fibres: bool = False) -> TissueMatrices:
     """Matrices of one tissue over the unknowns that are solved for: ``transform`` (3 n_kept, n_free) of those kept."""
     pressures = csr_array(eye_array(orders.spread_pressures.shape[1], format="csr"))
-    plain = _projected(orders.low, region, ~orders.raised, transform, pressures)
+    plain = _projected(orders.low, region, ~orders.raised, transform, pressures, fibres)
     if not orders.raised.any():
         return plain
-    raised = _projected(orders.high, region, orders.raised, orders.carried(transform), orders.spread_pressures)
-    return TissueMatrices(*(added([getattr(plain, f.name), getattr(raised, f.name)]) for f in fields(plain)))
+    raised = _projected(orders.high, region, orders.raised, orders.carried(transform), orders.spread_pressures, fibres)
+    pairs = ((getattr(plain, f.name), getattr(raised, f.name)) for f in fields(plain))
+    return TissueMatrices(*(None if one is None else added([one, other]) for one, other in pairs))
 
 
-def _projected(space: MixedSpace, region: int, only: BoolArray, u: csr_array, p: csr_array) -> TissueMatrices:
+def _projected(
+    space: MixedSpace, region: int, only: BoolArray, u: csr_array, p: csr_array, fibres: bool
+) -> TissueMatrices:
     """Matrices of a tissue's tetrahedra among ``only``; ``u`` and ``p`` give this space's unknowns from those kept."""
-    part = tissue_matrices(space, region, reference_tensors(space), only=only)
+    part = tissue_matrices(space, region, reference_tensors(space), only=only, fibres=fibres)
     return TissueMatrices(
         congruent(part.shear, u),
         congruent(part.mass, u),
         projected(p, part.divergence, u),
         congruent(part.pressure_mass, p),
+        None if part.fibres is None else congruent(part.fibres, u),
     )
-
-
-def shear_blocks(inverse: FloatArray, volume: FloatArray, reference: FloatArray) -> FloatArray:
-    """3x3 blocks of the deviatoric stiffness (3, 3, n_tet, nb, nb) from gradients' reference tensor.
-
-    The blocks are combined as 3x3 tensors of the Jacobian, before the contraction makes them nb^2 / 9 times larger.
-    """
-    metric = np.einsum("e,eai,ebj->ijeab", volume, inverse, inverse, optimize=True)
-    nb = reference.shape[2]
-    whole = _deviatoric(metric).reshape(9 * len(volume), 9) @ reference.reshape(9, nb * nb)
-    return np.asarray(whole.reshape(3, 3, len(volume), nb, nb))
 
 
 def _deviatoric(metric: FloatArray) -> FloatArray:
@@ -172,6 +203,33 @@ def _deviatoric(metric: FloatArray) -> FloatArray:
     for i in range(3):
         blocks[i, i] += trace
     return np.asarray(blocks)
+
+
+def _along_fibres(metric: FloatArray) -> FloatArray:
+    """The same of both shears with x, in which fibres along x are stiff."""
+    blocks = np.zeros_like(metric)
+    for i in (1, 2):
+        blocks[0, 0] += metric[i, i]
+        blocks[i, i] += metric[0, 0]
+        blocks[0, i], blocks[i, 0] = metric[i, 0], metric[0, i]
+    return blocks
+
+
+def shear_blocks(
+    inverse: FloatArray,
+    volume: FloatArray,
+    reference: FloatArray,
+    energy: Callable[[FloatArray], FloatArray] = _deviatoric,
+) -> FloatArray:
+    """3x3 blocks (3, 3, n_tet, nb, nb) of the ``energy``, the deviatoric one or another, from gradients' reference
+    tensor.
+
+    The blocks are combined as 3x3 tensors of the Jacobian, before the contraction makes them nb^2 / 9 times larger.
+    """
+    metric = np.einsum("e,eai,ebj->ijeab", volume, inverse, inverse, optimize=True)
+    nb = reference.shape[2]
+    whole = energy(metric).reshape(9 * len(volume), 9) @ reference.reshape(9, nb * nb)
+    return np.asarray(whole.reshape(3, 3, len(volume), nb, nb))
 
 
 @dataclass(frozen=True)
@@ -185,8 +243,11 @@ class BentMatrices:
     pressure_mass: FloatArray
 
 
-def bent_matrices(space: MixedSpace, tetrahedra: IntArray) -> Iterator[tuple[slice, BentMatrices]]:
-    """Matrices of some ``tetrahedra`` (n,), piece by piece, and which of them each piece holds."""
+def bent_matrices(
+    space: MixedSpace, tetrahedra: IntArray, energy: Callable[[FloatArray], FloatArray] = _deviatoric
+) -> Iterator[tuple[slice, BentMatrices]]:
+    """Matrices of some ``tetrahedra`` (n,), piece by piece, and which of them each piece holds; ``shear`` is that of
+    the ``energy``."""
     if not len(tetrahedra):
         return
     points, weights = get_quadrature(RefTet, space.pair.degree + _MORE)
@@ -201,7 +262,7 @@ def bent_matrices(space: MixedSpace, tetrahedra: IntArray) -> Iterator[tuple[sli
         rows = gradients.reshape(n, 3 * nb, q)
         metric = (rows * measure[:, None]) @ rows.transpose(0, 2, 1)
         part = BentMatrices(
-            _deviatoric(metric.reshape(n, 3, nb, 3, nb).transpose(1, 3, 0, 2, 4)),
+            energy(metric.reshape(n, 3, nb, 3, nb).transpose(1, 3, 0, 2, 4)),
             _mass(values, measure),
             np.einsum("pq,nibq->inpb", pressures, gradients * measure[:, None, None], optimize=True),
             _mass(pressures, measure),

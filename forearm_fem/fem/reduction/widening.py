@@ -72,15 +72,22 @@ def _states(reduced: AffineReduced, theta: ComplexArray, loaded: Sequence[int]) 
 
 
 def _other_moduli(operator: AffineOperator, frequency: FloatArray) -> Iterator[ComplexArray]:
-    """Coefficients (n_term,) with one term after the other changed, at each place of the band."""
+    """Coefficients (n_term,) with one term after the other changed, at each place of the band; a tissue's fibres with
+    its shear."""
     for place in _PLACES:
         omega = 2 * np.pi * frequency[int(place * (len(frequency) - 1))]
         own = np.array([complex(t.coefficient.at(np.array(omega))) for t in operator.terms])
         for k, term in enumerate(operator.terms):
             for kept, lost in _factors(term.name) if own[k] else ():
                 theta = own.copy()
-                theta[k] = kept * own[k].real + 1j * lost * own[k].imag
+                alike = [k, *(j for j, t in enumerate(operator.terms) if t.name == _fibres_beside(term.name))]
+                theta[alike] = kept * own[alike].real + 1j * lost * own[alike].imag
                 yield theta
+
+
+def _fibres_beside(name: str) -> str:
+    """Name of the term that follows the same modulus as one of shear; empty for others."""
+    return name.replace("shear ", "fibres ", 1) if name.startswith("shear ") else ""
 
 
 def _factors(name: str) -> tuple[tuple[float, float], ...]:

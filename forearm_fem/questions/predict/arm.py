@@ -16,6 +16,7 @@ from ...engines.layered import (
     ALONE,
     Answer,
     LayeredArm,
+    fibrous,
     flat_disc,
     flat_ports,
     without_bones,
@@ -289,6 +290,11 @@ def arm_model(
         raise ScenarioError(
             "engine: arms are drawn on finite elements or on the layered model, not on an engine of your own; set "
             "engine = 'layered'"
+        )
+    if reason := fibrous(scenario):
+        raise ScenarioError(
+            f"{reason.partition('; ')[0]}; arms are drawn without fibres, as that model says what contact areas "
+            "change: leave it out"
         )
     if scenario.engine == "layered" or layered:
         return LayeredArm(scenario.engine == "fem")
