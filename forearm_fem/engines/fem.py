@@ -382,7 +382,7 @@ def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) ->
         skin = SkinModel(scenario, model.ports, wider.bare(), sweep.poles, core, solution.compliance.errors)
         contacts = solution.compliance.indices("contact")
         modes = field_modes(solution)
-        states = sweep.states(frequency, contacts)
+        states = sweep.states(frequency, contacts).astype(np.complex64, order="C")  # as kept: the same bits
     return Solved(solution.compliance, None, freed, modes, states, facts, skin=skin)
 
 
