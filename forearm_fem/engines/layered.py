@@ -186,8 +186,8 @@ def fibrous(scenario: Scenario) -> str:
     for name in dict.fromkeys(scenario.tissue_keys.values()):
         if (ratio := tissues[name].fibres) != 1:
             return (
-                f"tissues.override.{name}.fibres: waves of the layered model have no preferred direction, so that it "
-                f"takes 1 (none), is {ratio:g}; set engine = 'fem', or leave it out"
+                f"tissues.override.{name}.fibres: expected 1 (none) on the layered model, whose waves have no "
+                f"preferred direction, got {ratio:g}; set engine = 'fem', or leave it out"
             )
     return ""
 

@@ -63,7 +63,8 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
                 f"tissues.override.{name}.law = 'kelvin-voigt'"
             )
     if reason := fibrous(scenario):
-        raise ScenarioError(f"{reason.partition('; ')[0]}; a library needs that model beside the mesh: leave it out")
+        needs = "a library needs the layered model beside the mesh, so leave it out"
+        raise ScenarioError(f"{reason.partition('; ')[0]}; {needs}")
     loaded = loaded_skin(scenario)
     _check_size(scenario, len(loaded.bells.centres))
     meshed = meshed_scenario(scenario, loaded.skin)

@@ -293,8 +293,8 @@ def arm_model(
         )
     if reason := fibrous(scenario):
         raise ScenarioError(
-            f"{reason.partition('; ')[0]}; arms are drawn without fibres, as that model says what contact areas "
-            "change: leave it out"
+            f"{reason.partition(':')[0]}: arms are drawn without fibres on either engine, as no prior says how they "
+            "differ; leave it out"
         )
     if scenario.engine == "layered" or layered:
         return LayeredArm(scenario.engine == "fem")
