@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from forearm_fem.engines import fem
 from forearm_fem.engines.fem import FemSolution, field_modes
 from forearm_fem.errors import SolverError
 from forearm_fem.fem.linear import direct
@@ -186,6 +187,17 @@ def test_an_interrupted_sweep_goes_on_where_it_stopped(monkeypatch, tmp_path):
     planned = expand.expansion_frequencies(resumed.frequency, scenario.solver)
     assert planned[0] not in seen  # stored by the first run
     assert planned[1] in seen
+
+
+def test_a_field_read_from_the_cache_has_the_bits_of_the_one_solved(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path / "cache"))
+    scenario = parse_scenario({**TINY, "solver": {**TINY["solver"], "discretisation_estimate": False}})
+    solved, read = (Run.start(scenario, tmp_path / out, Path()) for out in ("solved", "read"))
+    run_solve(solved)
+    monkeypatch.setattr(fem, "solve_fem", None)  # nothing is solved again
+    run_solve(read)
+    fields = [run.known["wavefield"] for run in (solved, read)]
+    assert fields[0].amplitudes.tobytes() == fields[1].amplitudes.tobytes()
 
 
 @pytest.mark.slow  # 3 s; the sweep above is stored alike

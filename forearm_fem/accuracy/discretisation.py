@@ -38,10 +38,10 @@ class DiscretisationError:
 
 
 def order_of(scenario: Scenario) -> tuple[float, float]:
-    """Order with which G of ``scenario`` converges, and the change beyond which it grows: on slabs :data:`FAR_OFF`, but
-    not where second order ends beside a disc or lies under a rigid one.
+    """Order of convergence of G, and the change of G beyond which its error grows more slowly.
 
-    The order is the lowest on a mesh of the user's, whose element pair changes in place of its sizes.
+    That change is :data:`FAR_OFF` on slabs, and infinite elsewhere or where second order ends beside a disc or lies
+    under a rigid one. A mesh of the user's, whose element pair changes in place of its sizes, has the lowest order.
     """
     far_off = FAR_OFF if isinstance(scenario.limb, SlabLimb) else math.inf
     if scenario.element not in ("P2/P3", "P3") or isinstance(scenario.limb, MeshLimb):
@@ -79,8 +79,8 @@ def remaining_error(
 ) -> FloatArray:
     """Relative error of a mesh from the relative ``change`` to one whose sizes are ``ratio`` (not 1) times its own.
 
-    An error C h^p changes by C h^p |ratio^p - 1|, p the ``order``, so change / |ratio^p - 1| is left, and less of
-    changes beyond ``far_off``.
+    An error C h^p changes by C h^p |ratio^p - 1|, p the ``order``, so change / |ratio^p - 1| is left. Beyond
+    ``far_off`` the error grows as the change to the power :data:`GROWS`.
     """
     grown = np.maximum(np.minimum(change, LOST) / far_off, 1.0)
     return np.asarray(change * grown ** (GROWS - 1) / abs(ratio**order - 1))

@@ -91,7 +91,7 @@ class PairErrors:
 # Effect of an error of G on S.
 
 APART = 0.15  # of a pair's error by the mesh: what other pairs do not share
-_STILL = 1e-10  # of the largest singular value: rounding
+_NULL = 1e-10  # of the largest singular value: rounding
 _WAVES = 64  # random cosines that make up one perturbation
 
 
@@ -122,18 +122,18 @@ def perturbed(
             noise /= np.abs(noise).max(axis=(1, 2), keepdims=True)
             size = relative_error_at(source, transfer.frequency)[:, None, None]
         change += scale[:, None, None] * size * noise
-    return replace(transfer, values=transfer.values + _without_still(transfer.values, change))
+    return replace(transfer, values=transfer.values + _off_null_space(transfer.values, change))
 
 
-def _without_still(values: ComplexArray, change: ComplexArray) -> ComplexArray:
-    """``change`` (n, n_out, n_in) without what it does for combinations of inputs that move nothing in G ``values``."""
+def _off_null_space(values: ComplexArray, change: ComplexArray) -> ComplexArray:
+    """``change`` (n, n_out, n_in), projected off the null space of G ``values``: inputs that move nothing together."""
     known = np.nan_to_num(values)
     some = np.linalg.svd(known[len(known) // 2], compute_uv=False)
-    if some[-1] > _STILL * some[0]:  # it is the device's doing, alike at all frequencies
+    if some[-1] > _NULL * some[0]:  # it is the device's doing, alike at all frequencies
         return change
     _, size, rows = np.linalg.svd(known, full_matrices=False)
-    still = rows * (size <= _STILL * size[:, :1])[:, :, None]
-    return np.asarray(change - (change @ still.conj().swapaxes(1, 2)) @ still)
+    null = rows * (size <= _NULL * size[:, :1])[:, :, None]
+    return np.asarray(change - (change @ null.conj().swapaxes(1, 2)) @ null)
 
 
 def smooth_noise(
