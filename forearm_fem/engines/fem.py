@@ -140,6 +140,7 @@ def solve_fem(
     ``widen`` adds directions for other tissues.
     """
     tell(progress, "assembly", 0, 1)
+    give_back()  # what an earlier solve left
     model = fem_model(scenario, mesh)
     tell(progress, "assembly", 1, 1)
     solver = scenario.solver
