@@ -307,7 +307,7 @@ class FemEngine:
         expected = forecast(scenario, base=self.base, mesh=mesh)
         refuse_if_too_large(expected, scenario)
         found = solve(scenario, mesh, frequency, base=self.base, progress=self.progress)
-        said = expected.sentences(float(frequency[-1]))
+        said = expected.sentences(float(frequency[-1])) if found.exact is None else expected.doubts
         return replace(found, mesh=mesh, notes=said, resolution=expected.resolution)
 
 
