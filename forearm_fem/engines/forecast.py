@@ -95,7 +95,7 @@ _SMALL = 15.0  # seconds that evaluating and certifying a reduced model takes fo
 _DERIVATIVES = 45  # about a rate, where 1e-4 is asked in 10-500 Hz
 _FROM_RATE = 1.6  # a sweep from a rate costs as much as so many expansions and certificates; measured with AVX-512
 _COPIES = 3  # of all signals: themselves, their spectra, and the array that is written
-_ESTIMATE = 1.5  # with the coarser mesh's solve
+_ESTIMATE = 1.5  # with the coarser mesh's solve, where there is one
 _WIDEST = 300.0  # mm across: a stout thigh
 _OBLONG = 1.5  # times as long in y or z as in x: more likely turned than cut so short
 
@@ -141,7 +141,8 @@ def forecast(scenario: Scenario, *, base: Path = Path("."), mesh: TissueMesh | N
         factorisations = len(frequencies(scenario.sweep))
     single = 1.0 if scenario.solver.precision == "double" else 0.5
     one = _power(_SECONDS, unknowns) * single * (_GRADED if scenario.element == "P2/P3" else 1.0)
-    one *= _ESTIMATE if scenario.solver.discretisation_estimate else 1.0
+    second = scenario.solver.discretisation_estimate and not isinstance(scenario.limb, SlabLimb)
+    one *= _ESTIMATE if second else 1.0
     return Forecast(
         len(mesh.tetrahedra),
         unknowns,
@@ -319,17 +320,6 @@ def model_notes(solution: SolutionRecord) -> tuple[str, ...]:
     return (
         f"the reduced model has {solution.unstable_poles} unstable poles far outside the band: use it (reduced.nc) at "
         "frequencies of the band only, not beyond and not in time; solver.precision = 'double' makes one without",
-    )
-
-
-def near_disc_notes(scenario: Scenario) -> tuple[str, ...]:
-    """A sentence on points so near a disc of pressure that second-order elements err alike on both meshes."""
-    near = scenario.beside_discs if isinstance(scenario.limb, SlabLimb) and scenario.element == "P2" else ()
-    if not near:
-        return ()
-    return (
-        f"{_lie(near)} within 8 mm of the rim of a disc of pressure on second-order elements, where as little as "
-        "a tenth of the error was stated; mesh.element = 'P2/P3' errs a tenth there, at two to four times the unknowns",
     )
 
 
