@@ -32,7 +32,8 @@ _SOURCES = (_FEM / "kernels", _FEM / "linear" / "multifrontal")
 
 def kernel(function: F) -> F:
     """``function`` compiled without the interpreter's lock; its machine code is kept between runs."""
-    compiled: Any = numba.njit(nogil=True, no_cfunc_wrapper=True)(function)
+    options: dict[str, Any] = {"nogil": True, "no_cfunc_wrapper": True}
+    compiled: Any = numba.njit(**options)(function)
     if (folder := kernels_folder()) is not None:
         compiled._cache = KeptCode(f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}", folder)
     return cast(F, compiled)
@@ -53,7 +54,8 @@ class _LinkedOnly(Compiler):
 
     def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
         base: Any = super()
-        base.__init__(typing, target, _Part(target.codegen(), "part"), *rest)
+        part: Any = _Part
+        base.__init__(typing, target, part(target.codegen(), "part"), *rest)
 
 
 class _Part(JITCodeLibrary):
