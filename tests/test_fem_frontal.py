@@ -265,7 +265,7 @@ def test_nothing_is_solved_before_factorising_or_after_release(upper):
     factor = MultifrontalFactor(upper, upper.shape[0], np.arange(upper.shape[0]))
     with pytest.raises(SolverError, match="factorise before"):
         factor.solve(np.ones(upper.shape[0]) + 0j)
-    assert not factor.harden()
+    assert not factor.harden(upper.data)
 
 
 @pytest.mark.needs_mkl
@@ -281,7 +281,7 @@ def test_the_sweep_takes_it_and_pardiso_comes_after_it(model, monkeypatch, caplo
     assert isinstance(solver.factor.now, PardisoFactor)
     assert "matching" in caplog.text
     assert np.abs(mended - good).max() < 1e-8 * np.abs(good).max()  # both refined to 1e-9
-    assert solver.factor.harden()
+    assert solver.factor.harden(model.operator.data(200 * np.pi))
     assert not solver.factor.single
 
 
@@ -306,7 +306,7 @@ def test_without_mkl_there_is_nothing_after_it(model, monkeypatch):
     assert factors.available_backends() == ("multifrontal", "superlu")
     solver = make_factor(model.operator, OMEGA, "auto", single=True, matching=False)
     assert isinstance(solver, FallbackFactor)
-    assert not solver.harden()
+    assert not solver.harden(model.operator.data(OMEGA))
     small = make_factor(held_block(1, tissue=flesh(bulk=2.2e9)).operator, OMEGA, "auto", single=True, matching=False)
     assert isinstance(small, FallbackFactor)
 

@@ -42,8 +42,7 @@ def import_compiled() -> None:
     for module in MODULES:
         compiled(module)
     if (patterns := compiled("kernels.scatter")) is not None:
-        none = np.empty(0)
-        patterns.add_at(none.astype(complex), none.astype(np.int64), 0j, none)
+        patterns.sort_in_place(np.empty(0, np.int64))
 
 
 # Work in threads of our own instead of BLAS's: many small pieces are done faster side by side.

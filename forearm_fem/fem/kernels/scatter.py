@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...typing import ComplexArray, FloatArray, IntArray
+from ...typing import FloatArray, IntArray
 from .jit import inner_kernel, kernel
 
 # Short rows of column numbers put in order in compiled code: numba's own sort takes seconds to compile.
@@ -143,13 +143,6 @@ def merged(starts: IntArray, columns: IntArray) -> tuple[IntArray, IntArray, Int
             k += 1
         indptr[i + 1] = k
     return indptr, indices[:k].copy(), places
-
-
-@kernel
-def add_at(total: ComplexArray, places: IntArray, weight: complex, values: FloatArray) -> None:
-    """Add ``weight`` times ``values`` (m,) at ``places`` (m,) of ``total``."""
-    for k in range(len(places)):
-        total[places[k]] += weight * values[k]
 
 
 # Element matrices summed into sparse ones in compiled code; ``tissues`` has the same in NumPy, by sorting.

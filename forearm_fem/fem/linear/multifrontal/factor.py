@@ -302,7 +302,7 @@ class MultifrontalFactor:
         count = right.shape[1]
         return np.asarray(pivot_products(fronts, store, x, rooms[-1][1].block)[:count, :count])
 
-    def harden(self) -> bool:
+    def harden(self, data: ComplexArray | FloatArray) -> bool:
         """See :class:`..factor.Factor`; this one cannot."""
         return False
 

@@ -215,7 +215,7 @@ def symbolic_factor(upper: csr_array, order: IntArray) -> Symbolic:
 
     The order kept is a postorder of the elimination tree, which leaves the same entries in the factor.
     """
-    indptr, indices = upper.indptr.astype(np.int64), upper.indices.astype(np.int64)
+    indptr, indices = upper.indptr.astype(np.int32, copy=False), upper.indices.astype(np.int32, copy=False)
     parent = elimination_tree(*transposed_rows(lower_entries(indptr, indices, np.argsort(order))))
     post = postorder(parent)
     above, rank = parent[post], np.argsort(post)
