@@ -1,7 +1,9 @@
 """The multifrontal solver: its symbolic part against dense elimination, its numbers against NumPy and PARDISO."""
 
 import weakref
+from functools import cache
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -309,6 +311,12 @@ def test_without_mkl_there_is_nothing_after_it(model, monkeypatch):
     assert isinstance(small, FallbackFactor)
 
 
+@cache
+def from_python(inner):
+    """A kernel that only kernels may call, with an entry for Python."""
+    return numba.njit(lambda *given: inner(*given))
+
+
 def test_products_are_openblas_own_or_those_of_scipy(monkeypatch):
     """Whichever is taken, C -= A B^T comes out to a few roundings of single precision (6e-8) in 70 sums."""
     random = np.random.default_rng(0)
@@ -317,7 +325,7 @@ def test_products_are_openblas_own_or_those_of_scipy(monkeypatch):
         for s in (90, 40)
     )
     c = np.zeros((90, 40), np.complex64, order="F")
-    blas.subtract_product(
+    from_python(blas.subtract_product)(
         blas.arguments(np.complex64),
         (*c.shape, 70),
         a.ctypes.data,
@@ -394,12 +402,12 @@ def test_panels_are_multiplied_as_by_numpy(rows, columns, width, real):
     leading, row, taken = size * (rows + 5), size * 24, size * 8 * width
     exact_below, exact_own = below.astype(wide), own.astype(wide)
     exact_below[:rows, some] -= part @ own[:, some]
-    panels.subtract_panel(
+    from_python(panels.subtract_panel)(
         size, rows, columns, panel.ctypes.data, leading, own.ctypes.data, below.ctypes.data, row, taken
     )
     assert np.abs(below - exact_below).max() < 1e-5 * np.abs(exact_below).max()  # roundings of 6e-8 in 70 sums
     exact_own[:, some] -= part.T @ below[:rows, some]
-    panels.subtract_panel_transposed(
+    from_python(panels.subtract_panel_transposed)(
         size, rows, columns, panel.ctypes.data, leading, below.ctypes.data, own.ctypes.data, row, taken
     )
     assert np.abs(own - exact_own).max() < 1e-5 * np.abs(exact_own).max()

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ...typing import ComplexArray, FloatArray, IntArray
 from . import simd as _lanes
-from .jit import kernel
+from .jit import inner_kernel, kernel
+from .scatter import add_up
 
 # Products of long columns with few others in compiled code, which BLAS would pack the long ones for.
 # Columns may be in single or double precision; sums and the few others are in double precision.
@@ -42,7 +43,7 @@ def add_combination(block: FloatArray, known: FloatArray, total: FloatArray) -> 
         _copy(part[:count, : total.shape[1]], total[begin : begin + count])
 
 
-@kernel
+@inner_kernel
 def _copy(source: FloatArray, to: FloatArray) -> None:
     """Put ``source`` into the corner of ``to``; written out, as slices of arrays take numba seconds more to compile."""
     for i in range(source.shape[0]):
@@ -50,7 +51,7 @@ def _copy(source: FloatArray, to: FloatArray) -> None:
             to[i, j] = source[i, j]
 
 
-@kernel
+@inner_kernel
 def _add_product(left: FloatArray, right: FloatArray, total: FloatArray) -> None:
     """total (m, w) += left (m, k) right (k, w) for a multiple w of 16."""
     row = 8 * total.shape[1]
@@ -62,7 +63,7 @@ def _add_product(left: FloatArray, right: FloatArray, total: FloatArray) -> None
             _add_one(left[i], source, to + row * i, row)
 
 
-@kernel
+@inner_kernel
 def _add_four(left: FloatArray, right: int, to: int, row: int) -> None:
     none = lanes.no_doubles()
     a, b, c, d, e, f, g, h = none, none, none, none, none, none, none, none
@@ -83,7 +84,7 @@ def _add_four(left: FloatArray, right: int, to: int, row: int) -> None:
     _add_to(to + 3 * row, g, h)
 
 
-@kernel
+@inner_kernel
 def _add_one(left: FloatArray, right: int, to: int, row: int) -> None:
     a, b = lanes.no_doubles(), lanes.no_doubles()
     for k in range(len(left)):
@@ -94,7 +95,7 @@ def _add_one(left: FloatArray, right: int, to: int, row: int) -> None:
     _add_to(to, a, b)
 
 
-@kernel
+@inner_kernel
 def _add_to(place: int, one: Any, two: Any) -> None:
     lanes.store(place, lanes.plus(lanes.doubles_at(place), one))
     lanes.store(place + _VECTOR, lanes.plus(lanes.doubles_at(place + _VECTOR), two))
@@ -108,7 +109,7 @@ _LANES = 8  # doubles of a vector
 _BYTES = 64  # of a vector
 
 
-@kernel
+@inner_kernel
 def row_product(
     low: int, high: int, indices: IntArray, data: FloatArray, x: int, like: NDArray[Any], row: int, width: int, to: int
 ) -> None:
@@ -129,7 +130,7 @@ def row_product(
             at = last
 
 
-@kernel
+@inner_kernel
 def _four(
     low: int, high: int, indices: IntArray, data: FloatArray, x: int, like: NDArray[Any], row: int, to: int,
     steps: tuple[int, int, int],
@@ -149,7 +150,7 @@ def _four(
     lanes.store(to + 8 * steps[2], d)
 
 
-@kernel
+@inner_kernel
 def _two(
     low: int, high: int, indices: IntArray, data: FloatArray, x: int, like: NDArray[Any], row: int, to: int, step: int
 ) -> None:
@@ -163,7 +164,7 @@ def _two(
     lanes.store(to + 8 * step, b)
 
 
-@kernel
+@inner_kernel
 def _one(
     low: int, high: int, indices: IntArray, data: FloatArray, x: int, like: NDArray[Any], row: int, to: int
 ) -> None:
@@ -184,11 +185,14 @@ def add_weighted_rows(
     """
     padded = -(-width // 8) * 8
     row, turned, sums = np.zeros(padded), np.zeros(padded), np.zeros((len(totals), padded))
-    used = [t for t in range(len(indptr)) if np.any(weights[:, t] != 0)]
+    used = np.zeros(len(indptr))
+    for o in range(len(totals)):
+        for t in range(len(indptr)):
+            used[t] += weights[o, t] != 0
     for i in range(rows[0], rows[1]):
         sums[:] = 0
-        for t in used:
-            if indptr[t, i] < indptr[t, i + 1]:
+        for t in range(len(indptr)):
+            if used[t] > 0 and indptr[t, i] < indptr[t, i + 1]:
                 row_product(indptr[t, i], indptr[t, i + 1], indices, data, x, data, 8 * width, width, row.ctypes.data)
                 for c in range(0, width, 2):
                     turned[c], turned[c + 1] = -row[c + 1], row[c]
@@ -200,7 +204,7 @@ def add_weighted_rows(
                 total[c] += sums[o, c]
 
 
-@kernel
+@inner_kernel
 def _add_combined(weight: complex, row: FloatArray, turned: FloatArray, total: FloatArray) -> None:
     """Add ``weight`` times a row of complex numbers to ``total``; ``turned`` is i times the row."""
     if weight == 0:
@@ -235,7 +239,7 @@ def weighted_rows(
             total[i, c] = sums[c]
 
 
-@kernel
+@inner_kernel
 def _add_scaled(weight: float, row: FloatArray, total: FloatArray) -> None:
     for c in range(0, 8 * len(total), _BYTES):
         at = total.ctypes.data + c
@@ -279,7 +283,7 @@ def mirrored(indptr: IntArray, indices: IntArray, data: FloatArray) -> tuple[Int
         for p in range(indptr[i], indptr[i + 1]):
             start[i + 1] += 1
             start[indices[p] + 1] += indices[p] != i
-    start = np.cumsum(start)
+    add_up(start)
     free, columns, values = start[:-1].copy(), np.empty(start[n], np.int32), np.empty(start[n])
     for i in range(n):
         for p in range(indptr[i], indptr[i + 1]):

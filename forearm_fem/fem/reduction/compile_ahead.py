@@ -109,9 +109,8 @@ def _project(upper: csr_array, loads: FloatArray) -> None:
     for columns in (loads, single):
         matrices.real_sum(weights, [columns])
     matrices.products(single)(0, slice(0, _UNKNOWNS))
-    for block in (single, single[:, :-1]):  # a basis has whole blocks and parts of some
-        basis = Basis().with_block(block)
-        basis.subtract_in_place(loads.copy(), basis.inner(loads))
+    basis = Basis().with_block(single)
+    basis.subtract_in_place(loads.copy(), basis.inner(loads))
 
 
 if __name__ == "__main__":
