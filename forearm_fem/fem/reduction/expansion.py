@@ -252,6 +252,7 @@ class Expander:
                     break
                 if change.max() > DOUBTFUL and derivatives >= _SLOW:
                     return self._about_rate_with_care(frequency, _SURE * tolerance, progress)
+        give_back()  # certificates need as much again as derivatives work with
         return ReducedSweepState(reduced, rate, derivatives, residual=space.residual)
 
     def _about_rate_with_care(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...typing import ComplexArray, FloatArray
 from ..assembly.model import ForearmModel
 from ..assembly.operator import AffineOperator, WeightedSum
-from ..kernels.compiled import in_threads
+from ..kernels.compiled import give_back, in_threads
 from ..linear.direct import watched
 from .affine import AffineReduced, combined, with_last_columns
 from .basis import rough_extension
@@ -32,10 +32,12 @@ def lacking_directions(
     error is that of two states multiplied.
     """
     rest = _residuals(model, reduced, frequency)
+    give_back()
     values, vectors = np.linalg.eigh((rest.T @ rest).astype(float))
     count = min(int(np.ceil(_KEPT * rest.shape[1])), int(np.sum(values > 0)))
     found = rest @ vectors[:, len(values) - count :].astype(np.float32)
     del rest  # a third of the basis, and solves need room of their own
+    give_back()
     for some in (slice(k, k + _AT_ONCE) for k in range(0, count, _AT_ONCE)):
         found[:, some] = solve(found[:, some].astype(float))
     return found

@@ -216,7 +216,7 @@ class MultifrontalFactor:
         number = np.complex64 if np.iscomplexobj(data) else np.float32
         scale = scales(self._indptr, self._indices, data, self._n_displacements)
         self._scale = scale[self.symbolic.order]
-        if self._store is None or self._store.panels.dtype != number:
+        if first := self._store is None or self._store.panels.dtype != number:
             self.release()
             give_back()  # what the ordering left, or factors of the other kind: these fit into neither's place
             self._store = _front_store(self.symbolic, number)
@@ -231,6 +231,9 @@ class MultifrontalFactor:
             return int(factorise_part(part, fronts, entries, data, self._scale, store, remainder, stack, room))
 
         self._singular = sum(in_threads(work, self._parts.subtrees)) + work(self._parts.top)
+        if first:
+            del stack, rooms, entries
+            give_back()  # solves need a fraction of it
 
     def solve(self, right: NDArray[Any]) -> NDArray[Any]:
         """See :class:`..factor.Factor`."""
