@@ -84,7 +84,7 @@ class _MemoryWatch(threading.Thread):
 NODES_NEEDED = 6.0  # per shear wavelength near the ports; below it the error of far entries passes 10 %
 
 # Fitted to factorisations of limbs and slabs with 23 000 to 199 000 unknowns on 2 cores, double precision. Of whole
-# runs (quick, the thesis' scene at 0.1 and 0.025) 1.02 to 1.16 times the peak is said.
+# runs (quick, the thesis' scene at 0.1 and 0.025) 1.02 to 1.3 times the peak is said.
 _BYTES = 0.26e9, 22_700.0, 1.25
 _SECONDS = 7.0, 131_000.0, 1.8
 _GRADED = 1.4  # third order around the ports: as many unknowns lie closer together (forearm, 207 000 unknowns)
