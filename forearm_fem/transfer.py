@@ -69,6 +69,7 @@ class ErrorEstimate:
     (n_frequency, n_out, n_in) [-] is |dG_ij| / max_ij |G_ij| at ``frequency``, with e(f) its largest; None where all
     pairs may err by e(f). ``together`` (n_frequency, n_out, n_in) [-] is dG_ij / max_ij |G_ij| of all entries at once,
     up to one complex factor: errors of meshes and ends move entries alike. Estimates that are equal may differ in both.
+    Where the error is ``exact``, a difference from a known G, that factor is one.
     DataError for frequencies that do not increase, and for another number of errors than of frequencies.
     """
 
@@ -85,6 +86,7 @@ class ErrorEstimate:
         default=None, compare=False, repr=False,
         metadata=dims("frequency output input", single=True, units="1", long_name="dG_ij over the largest |G_ij|"),
     )  # fmt: skip
+    exact: bool = False
 
     def __post_init__(self) -> None:
         for name in ("frequency", "per_frequency"):

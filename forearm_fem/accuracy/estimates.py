@@ -101,8 +101,9 @@ def perturbed(
     """G plus one draw of its errors: complex noise per source, smooth over ``correlation`` [Hz].
 
     Where a source tells what entries do ``together``, one complex factor of unit variance moves them all over the
-    band, and :data:`APART` of a pair's error is its own. Noise of other sources is independent over entries, of the
-    root mean square that they state for each pair, or with e(f) of the largest of G as its largest entry.
+    band, and :data:`APART` of a pair's error is its own; an exact error is added as it is. Noise of other sources is
+    independent over entries, of the root mean square that they state for each pair, or with e(f) of the largest of G
+    as its largest entry.
 
     An actuator out of contact moves the skin through the housing as the others do, or not at all. So it does in every
     draw: noise would make it one that can be driven.
@@ -111,6 +112,9 @@ def perturbed(
     scale = np.max(np.abs(transfer.values), axis=(1, 2), where=usable, initial=0)
     change = np.zeros(transfer.values.shape, dtype=complex)
     for source in sources:
+        if source.exact and source.together is not None:
+            change += scale[:, None, None] * between(source, source.together, transfer.frequency)
+            continue
         noise = smooth_noise(transfer.frequency, transfer.values.shape[1:], rng, correlation)
         size = error_of_pairs(source, transfer.frequency)
         if source.together is not None:

@@ -78,4 +78,5 @@ def carried(estimate: ErrorEstimate, frequency: FloatArray, shorter: FloatArray,
         per_frequency=tuple(error.tolist()),
         per_pair=None if pairs is None else pairs * (beyond * below)[:, None, None],
         together=None,
+        exact=False,
     )

@@ -42,6 +42,7 @@ from ..store.text import digest_of
 from ..transfer import Compliance, ErrorEstimate, masked, refuse_non_finite
 from ..typing import ComplexArray, FloatArray
 from .forecast import forecast, refuse_if_too_large
+from .layered import solve_layered
 from .skin_model import SkinModel
 
 # Others where the first cannot be made; a finer one last, as it costs more than the main solve.
@@ -170,6 +171,18 @@ def fem_model(scenario: Scenario, mesh: TissueMesh, *, motion: Motion | None = N
     )
 
 
+def endless(scenario: Scenario, frequency: FloatArray) -> Compliance | None:
+    """Compliance of a slab's layers without end, by the layered model; None of other limbs, and where that lacks
+    something or is not known well enough to tell the error asked for."""
+    if not isinstance(scenario.limb, SlabLimb):
+        return None
+    try:
+        found = solve_layered(scenario, frequency)
+    except ForearmError:
+        return None
+    return found if max(e.worst for e in found.errors) < scenario.accuracy / 4 else None
+
+
 def second_compliance(second: Second, frequency: FloatArray, *, progress: Progress | None = None) -> Compliance:
     """Compliance on the second mesh, less certain than the first one's; its provenance holds the ``ratio``."""
     scenario = second.scenario
@@ -241,8 +254,9 @@ def _errors(result: SweepResult) -> tuple[ErrorEstimate, ...]:
 class Solved:
     """All compliances of a scenario on one mesh.
 
-    ``coarse`` is on the second mesh (None where no estimate was asked or could be made); ``freed`` has free ends on
-    the same mesh, ``other_ends`` other ends on the second one at a few frequencies (None where not asked). ``unknown``
+    ``exact`` is the layered model's of a slab, ``coarse`` on the second mesh of other limbs (None where no estimate
+    was asked or could be made). ``freed`` has free ends on the same mesh, ``other_ends`` other ends on the second one
+    at a few frequencies (None where not asked). ``unknown``
     are the estimates that were not asked for or could not be made. ``modes`` (n_point, 3, r) and ``states``
     (n_frequency, r, n_contact) rebuild the wavefield at the mesh vertices per unit contact force; empty for a direct
     sweep. ``facts`` are for the record; ``skin`` is the reduced model without its modes. ``mesh`` is the one solved on,
@@ -250,7 +264,7 @@ class Solved:
     """
 
     kind: ClassVar[str] = "solution"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
 
     compliance: Compliance
     coarse: Compliance | None
@@ -264,6 +278,7 @@ class Solved:
     mesh: TissueMesh | None = None
     notes: tuple[str, ...] = ()
     resolution: tuple[Resolution, ...] = ()
+    exact: Compliance | None = None
 
 
 @dataclass(frozen=True)
@@ -312,11 +327,11 @@ def solve(
         del solution  # operator and basis, gigabytes on a fine mesh, are of no use to the second one
         if shelf.keep("main", main):
             parts.remove()
-    # what freed ends do not show: pressure hardly feels dashpots of shear, so that a slab's ends are as good as free
-    unseen = main.freed is None or isinstance(scenario.limb, SlabLimb)
-    cut = unseen and len(mesh.facets.get("end", ())) > 0
+    cut = main.freed is None and len(mesh.facets.get("end", ())) > 0
     if not scenario.solver.discretisation_estimate:
         return replace(main, unknown=_missing("solver.discretisation_estimate = false; set it to true", cut))
+    if (exact := endless(scenario, frequency)) is not None:
+        return replace(main, exact=exact)
     try:
         second = second_mesh(scenario, mesh, base=base)
         coarse = shelf.once(

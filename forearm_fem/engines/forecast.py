@@ -95,7 +95,7 @@ _SMALL = 15.0  # seconds that evaluating and certifying a reduced model takes fo
 _DERIVATIVES = 45  # about a rate, where 1e-4 is asked in 10-500 Hz
 _FROM_RATE = 1.6  # a sweep from a rate costs as much as so many expansions and certificates; measured with AVX-512
 _COPIES = 3  # of all signals: themselves, their spectra, and the array that is written
-_ESTIMATE = 1.5  # with the coarser mesh's solve
+_ESTIMATE = 1.5  # with the coarser mesh's solve, where there is one
 _WIDEST = 300.0  # mm across: a stout thigh
 _OBLONG = 1.5  # times as long in y or z as in x: more likely turned than cut so short
 
@@ -141,7 +141,8 @@ def forecast(scenario: Scenario, *, base: Path = Path("."), mesh: TissueMesh | N
         factorisations = len(frequencies(scenario.sweep))
     single = 1.0 if scenario.solver.precision == "double" else 0.5
     one = _power(_SECONDS, unknowns) * single * (_GRADED if scenario.element == "P2/P3" else 1.0)
-    one *= _ESTIMATE if scenario.solver.discretisation_estimate else 1.0
+    second = scenario.solver.discretisation_estimate and not isinstance(scenario.limb, SlabLimb)
+    one *= _ESTIMATE if second else 1.0
     return Forecast(
         len(mesh.tetrahedra),
         unknowns,

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from .. import __version__
 from ..accuracy.discretisation import discretisation_of
-from ..accuracy.truncation import combined_truncation_error, freed_ends_error, other_ends_error
+from ..accuracy.exact import known_errors
+from ..accuracy.truncation import freed_ends_error, other_ends_error
 from ..device import close_loop
 from ..errors import ScenarioError
 from ..geometry.mesh.quality import Resolution
@@ -214,17 +215,17 @@ def versions() -> dict[str, str]:
 def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> Simulation:
     """G and its errors from compliances: the device enters here, at no further FE solve."""
     transfer = finite(close_loop(solved.compliance, scenario.device))
-    coarse = finite(close_loop(solved.coarse, scenario.device)) if solved.coarse else None
-    errors = [*solved.unknown, *([discretisation_of(transfer, coarse, scenario)] if coarse else [])]
-    truncations = []
-    if solved.freed:
-        freed = finite(close_loop(solved.freed, scenario.device))
-        truncations.append(freed_ends_error(transfer, freed))
-    if solved.other_ends and coarse:
-        other = finite(close_loop(solved.other_ends, scenario.device))
-        truncations.append(other_ends_error(transfer, coarse, other))
-    if truncations and all(e.source != "truncation" for e in solved.unknown):  # half a reading is none
-        errors.append(combined_truncation_error(truncations))
+    exact, coarse, freed, other = (
+        None if found is None else finite(close_loop(found, scenario.device))
+        for found in (solved.exact, solved.coarse, solved.freed, solved.other_ends)
+    )
+    errors = list(solved.unknown)
+    if exact is not None:
+        errors += known_errors(transfer, exact, freed)
+    else:
+        errors += [discretisation_of(transfer, coarse, scenario)] if coarse else []
+        errors += [freed_ends_error(transfer, freed)] if freed else []
+        errors += [other_ends_error(transfer, coarse, other)] if coarse and other else []
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
     unknown = tuple(f"the error by {e.source} is unknown: {e.method}" for e in solved.unknown)
     near = near_disc_notes(scenario) if mesh is not None else ()

@@ -400,7 +400,10 @@ def as_drawn(error: ErrorEstimate, frequency: FloatArray) -> ErrorEstimate:
     where it tells what entries do together, all of it over 1 + 2 e_band.
 
     Where the two differ much, the coarser one carries no waves: what is stated is then 1.4 to 2.6 times the error.
+    An exact error stays as it is.
     """
+    if error.exact:
+        return error
     share = 1.0 if error.together is None else 1 / (1 + _LOST * error.band)
     own = relative_error_at(error, frequency)
     size = np.maximum(own, error.band)

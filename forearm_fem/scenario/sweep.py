@@ -109,7 +109,9 @@ class SolverOptions(Part):
     memory_limit: Annotated[float, Within(1e6, 1e16, "bytes")] = Field(
         12e9, description="refuse a solve estimated above this [bytes]"
     )
-    discretisation_estimate: bool = Field(True, description="solve a coarser mesh too; without it the error is unknown")
+    discretisation_estimate: bool = Field(
+        True, description="solve a coarser mesh, too, or the layered model of a slab; without it the error is unknown"
+    )
 
 
 class ReducedSolve(SolverOptions):

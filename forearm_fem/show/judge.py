@@ -30,8 +30,8 @@ TABLE_ONE = ("place", "method", "here", "record", "thesis")  # S over the window
 
 
 ERRORS: Mapping[str, tuple[str, str]] = MappingProxyType({
-    "discretisation": ("mesh", "G solved again on a mesh with nodes further apart"),
-    "truncation": ("cut ends", "change of G where the ends of the modelled piece of arm are freed or clamped"),
+    "discretisation": ("mesh", "G solved again on a mesh with nodes further apart; on a slab the layered model"),
+    "truncation": ("cut ends", "G with the ends of the modelled piece of arm freed; on a slab the layered model"),
     "linear solve": ("linear solver", "residual of the equations solved"),
     "reduction": ("reduced model", "difference from full solves at frequencies that it did not see"),
     "quadrature": ("integrals of the layered model", "last terms of series and integrals"),
