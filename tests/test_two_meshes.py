@@ -7,6 +7,7 @@ import pytest
 
 from forearm_fem.accuracy.discretisation import (
     COARSER,
+    LOST,
     SECOND_ORDER,
     THIRD_ORDER,
     discretisation_of,
@@ -26,6 +27,18 @@ def test_any_ratio_recovers_an_error_of_the_assumed_order(ratio):
     for order in (SECOND_ORDER, THIRD_ORDER):
         change = np.array([0.001 * abs(ratio**order - 1)])
         assert remaining_error(change, ratio, order) == pytest.approx(0.001)
+
+
+def test_of_a_change_of_a_mesh_that_carries_no_waves_less_is_left():
+    """Its G is another one, whose difference tells nothing of the first mesh's order: four times the change, twice the
+    error. e_band is not e(f)'s: a lost frequency of little energy leaves the others' error as it is."""
+    begins, more = remaining_error(LOST * np.array([1.0, 4.0]))
+    assert more == pytest.approx(2 * begins)
+    own = np.array([1.0, 0.1]).reshape(2, 1, 1) * np.ones((2, 2, 2), dtype=complex)
+    other = own * np.array([1.1, 1 + 4 * LOST]).reshape(2, 1, 1)
+    found = estimated_errors(other, own, np.array([100.0, 400.0]))
+    assert found.error == pytest.approx(begins * np.array([0.1 / LOST, 2.0]))
+    assert found.band == pytest.approx(np.hypot(found.error[0], 0.1 * found.error[1]) / np.hypot(1.0, 0.1))
 
 
 @pytest.mark.parametrize(("element", "order"), [("P2", SECOND_ORDER), ("P2/P3", THIRD_ORDER), ("P3", THIRD_ORDER)])

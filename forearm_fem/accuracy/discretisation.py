@@ -9,14 +9,15 @@ import numpy as np
 
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb
-from ..transfer import ErrorEstimate, TransferMatrix, band_error, relative_error
+from ..transfer import ErrorEstimate, TransferMatrix, relative_error
 from ..typing import ComplexArray, FloatArray
 from .estimates import raised_to_row_column_mean
 
 # Size ratio of the second mesh, where it can be made. One twice as coarse carries no waves where the first one just
 # does: between 2 and 57 times the error was its change under rigid cones, that of this one 2 to 6 times.
 COARSER = math.sqrt(2)
-SECOND_ORDER, THIRD_ORDER = 2.1, 3.2  # of convergence, by the elements around the ports
+SECOND_ORDER, THIRD_ORDER = 2.1, 3.0  # of convergence, by the elements around the ports
+LOST = 0.2  # change of G beyond which the second mesh carries no waves, and the error grows as its square root
 _NEIGHBOURHOOD = 1.25  # e(f) listens to frequencies up to this ratio away (a third of an octave)
 
 
@@ -41,12 +42,14 @@ def discretisation_of(fine: TransferMatrix, coarse: TransferMatrix, scenario: Sc
     ratio, order = float(coarse.provenance["ratio"]), order_of(scenario)
     found = estimated_errors(coarse.values, fine.values, fine.frequency, ratio, order)
     pairs = over_pairs(found.error, coarse.values, fine.values, fine.frequency)
-    largest, change = np.abs(fine.values).max(axis=(1, 2), keepdims=True), band_error(coarse.values, fine.values)
-    together = (coarse.values - fine.values) / largest * (found.band / change if change > 0 else 0.0)
+    change = _relative_change(coarse.values, fine.values)
+    left = np.divide(remaining_error(change, ratio, order), change, out=np.zeros_like(change), where=change > 0)
+    together = left[:, None, None] * (coarse.values - fine.values) / np.abs(fine.values).max(axis=(1, 2), keepdims=True)
     return ErrorEstimate(
         "discretisation",
         found.band,
-        f"change of G on a second mesh, nodes {ratio:.2g} times as far apart, over |{ratio:.2g}^{order:g} - 1|",
+        f"change of G on a second mesh, nodes {ratio:.2g} times as far apart, over |{ratio:.2g}^{order:g} - 1|, "
+        f"beyond {LOST:g} its geometric mean with that",
         tuple(fine.frequency.tolist()),
         tuple(found.error.tolist()),
         pairs,
@@ -57,9 +60,10 @@ def discretisation_of(fine: TransferMatrix, coarse: TransferMatrix, scenario: Sc
 def remaining_error(change: FloatArray, ratio: float = COARSER, order: float = SECOND_ORDER) -> FloatArray:
     """Relative error of a mesh from the relative ``change`` to one whose sizes are ``ratio`` (not 1) times its own.
 
-    An error C h^p changes by C h^p |ratio^p - 1|, p the ``order``, so change / |ratio^p - 1| is left.
+    An error C h^p changes by C h^p |ratio^p - 1|, p the ``order``, so change / |ratio^p - 1| is left; of changes
+    beyond :data:`LOST` their geometric mean with it.
     """
-    return np.asarray(change / abs(ratio**order - 1))
+    return np.asarray(np.minimum(change, np.sqrt(LOST * change)) / abs(ratio**order - 1))
 
 
 def estimated_errors(
@@ -74,13 +78,18 @@ def estimated_errors(
 
     ``other`` values are those on the second mesh, whose nodes are ``ratio`` times as far apart. Errors of two meshes
     cancel at some frequencies by chance, so e(f) at ``frequency`` (n_frequency,) [Hz], increasing, comes from the
-    change there or from the change of the third of an octave on either side, whichever is larger. It is the share of
-    that change which e_band is of the band's.
+    change there or from the change of the third of an octave on either side, whichever is larger. e_band sums what
+    each frequency's own change leaves.
     """
-    change = band_error(other, own)
-    band = float(remaining_error(np.asarray(change), ratio, order))
-    single = smoothed_relative_change(other, own, frequency) * (band / change if change > 0 else 0.0)
-    return DiscretisationError(band, single)
+    size = np.linalg.norm(own, axis=(1, 2))
+    left = remaining_error(_relative_change(other, own), ratio, order) * size
+    single = remaining_error(smoothed_relative_change(other, own, frequency), ratio, order)
+    return DiscretisationError(float(np.linalg.norm(left) / np.linalg.norm(size)), single)
+
+
+def _relative_change(other: ComplexArray, own: ComplexArray) -> FloatArray:
+    """||other - own||_F / ||own||_F at each frequency (n_frequency,)."""
+    return np.asarray(np.linalg.norm(other - own, axis=(1, 2)) / np.linalg.norm(own, axis=(1, 2)))
 
 
 def smoothed_relative_change(other: ComplexArray, own: ComplexArray, frequency: FloatArray) -> FloatArray:
