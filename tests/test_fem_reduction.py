@@ -16,7 +16,7 @@ from forearm_fem.fem.reduction import basis as bases
 from forearm_fem.fem.reduction.affine import AffineReduced, extend, with_last_columns
 from forearm_fem.fem.reduction.basis import Basis, orthonormal_extension, real_columns
 from forearm_fem.fem.reduction.certificate import doubt, probe_frequencies
-from forearm_fem.fem.reduction.expansion import Expander, Snapshots, expansion_frequencies
+from forearm_fem.fem.reduction.expansion import Expander, expansion_frequencies
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.tissue import Hysteretic, KelvinVoigt, SpringPot, Tissue, Zener
@@ -75,18 +75,6 @@ def test_solves_are_refined_to_a_thousandth_of_what_is_asked(model, sweep, truth
     block = np.ix_(range(len(CHECK)), [1, 2, 3], [0])
     error = relative_error(rough.reduced.compliance(CHECK)[block], truth[block])
     assert error.max() < 2 * rough.reduction_error  # one certificate speaks for the band
-
-
-def test_a_direct_solve_factorises_without_the_products_and_makes_them_again(model, monkeypatch):
-    """Both at once were the largest memory of a run; what is made again is the same to the last digit."""
-    before, seen, at = model.operator.at(600.0).product(np.ones((model.operator.n, 2))), [], DirectSolver.at
-    monkeypatch.setattr(
-        DirectSolver, "at", lambda self, f: (seen.append("matrices" in vars(self.model.operator)), at(self, f))[1]
-    )
-    found = Expander(model, OPTIONS, Snapshots(), 1e-9).direct(120.0)
-    assert seen == [False]
-    assert found.residual < 1e-9
-    assert (model.operator.at(600.0).product(np.ones((model.operator.n, 2))) == before).all()
 
 
 def test_values_of_the_sweep_are_those_of_its_model(sweep):

@@ -248,10 +248,10 @@ def test_superlu_keeps_to_the_diagonal_until_it_is_hardened(model, loads):
     solver.factorise(data)
     filled = solver._lu.nnz
     assert np.linalg.norm(loads - model.operator.multiply(data, solver.solve(loads))) < 1e-9 * size
-    assert solver.harden()
+    assert solver.harden(data)
     assert solver._lu.nnz > 1.3 * filled
     assert np.linalg.norm(loads - model.operator.multiply(data, solver.solve(loads))) < 1e-9 * size
-    assert not solver.harden()
+    assert not solver.harden(data)
     solver.factorise(model.operator.data(2 * OMEGA))
     assert solver._lu.nnz > 1.3 * filled
 

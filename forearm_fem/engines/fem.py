@@ -141,6 +141,7 @@ def solve_fem(
     ``widen`` adds directions for other tissues.
     """
     tell(progress, "assembly", 0, 1)
+    give_back()  # what an earlier solve left
     model = fem_model(scenario, mesh)
     tell(progress, "assembly", 1, 1)
     solver = scenario.solver
@@ -307,7 +308,7 @@ class FemEngine:
         expected = forecast(scenario, base=self.base, mesh=mesh)
         refuse_if_too_large(expected, scenario)
         found = solve(scenario, mesh, frequency, base=self.base, progress=self.progress)
-        said = expected.sentences(float(frequency[-1]))
+        said = expected.sentences(float(frequency[-1])) if found.exact is None else expected.doubts
         return replace(found, mesh=mesh, notes=said, resolution=expected.resolution)
 
 

@@ -323,17 +323,6 @@ def model_notes(solution: SolutionRecord) -> tuple[str, ...]:
     )
 
 
-def near_disc_notes(scenario: Scenario) -> tuple[str, ...]:
-    """A sentence on points so near a disc of pressure that second-order elements err alike on both meshes."""
-    near = scenario.beside_discs if isinstance(scenario.limb, SlabLimb) and scenario.element == "P2" else ()
-    if not near:
-        return ()
-    return (
-        f"{_lie(near)} within 8 mm of the rim of a disc of pressure on second-order elements, where as little as "
-        "a tenth of the error was stated; mesh.element = 'P2/P3' errs a tenth there, at two to four times the unknowns",
-    )
-
-
 def engine_notes(scenario: Scenario) -> tuple[str, ...]:
     """Keys that the layered model leaves to finite elements."""
     kept = [key for key in scenario.changed_keys() if for_elements_only(key)] if scenario.engine == "layered" else []

@@ -28,7 +28,7 @@ from ..transfer import Compliance, TransferMatrix, finite
 from ..typing import FloatArray
 from ..usercode import is_code, named
 from .fem import Solved
-from .forecast import model_notes, near_disc_notes
+from .forecast import model_notes
 from .layered import LayeredEngine, flat_notes
 
 if TYPE_CHECKING:
@@ -228,8 +228,7 @@ def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> 
         errors += [other_ends_error(transfer, coarse, other)] if coarse and other else []
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
     unknown = tuple(f"the error by {e.source} is unknown: {e.method}" for e in solved.unknown)
-    near = near_disc_notes(scenario) if mesh is not None else ()
-    notes = (*solved.notes, *unknown, *model_notes(solved.facts), *near)
+    notes = (*solved.notes, *unknown, *model_notes(solved.facts))
     return Simulation(scenario, mesh, solved.compliance, transfer, coarse, solved, notes, resolution=solved.resolution)
 
 

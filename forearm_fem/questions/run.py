@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -132,7 +134,7 @@ class Run:
 def run_all(run: Run) -> None:
     """Everything: mesh, solve, render, figures and report."""
     check_rendering(run.scenario, run.base)
-    transfer = _solved(run)
+    transfer = _solved(run, beside=_load_pictures)
     if run.scenario.rendering.methods:
         _rendered(run, transfer)
     _write_run(run)
@@ -168,10 +170,19 @@ def _keep_given(run: Run, transfer: TransferMatrix) -> None:
     run.known |= {"transfer": transfer, "_compliance": None}
 
 
+def _load_pictures() -> None:
+    """What pictures need, a second of imports; what cannot be loaded is said when the report is made."""
+    with suppress(Exception):
+        from ..show.report import load_pictures
+
+        load_pictures()
+
+
 def _reported(run: Run) -> None:
     from ..show.data import Results
     from ..show.report import write_report
 
+    gc.freeze()  # else all that was imported is gone through again and again: an eighth of the report's time
     write_report(Results.holding(run.out, scenario=run.scenario, run=run.record, **run.known))
 
 
@@ -215,10 +226,12 @@ def run_render(run: Run) -> Rendering:
     return rendering
 
 
-def _solved(run: Run) -> TransferMatrix:
+def _solved(run: Run, beside: Callable[[], None] = lambda: None) -> TransferMatrix:
+    """G of the run; a thread does what is asked ``beside`` its solve, most of which leaves Python's lock."""
     refuse_other_g(run.out / "transfer.nc", measured=False)
     mesh = run_mesh(run)
-    with run.stage("solve"):
+    with run.stage("solve"), ThreadPoolExecutor(1) as thread:
+        thread.submit(beside)
         found = simulate(run.scenario, base=run.base, progress=run.progress, mesh=mesh, engine=run.engine)
         run.simulation, run.transfer = found, found.transfer
         run.notes += found.notes

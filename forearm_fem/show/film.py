@@ -335,7 +335,7 @@ def plot_wavefield(data: xr.Dataset, *, width: int = PAGE) -> Figure:
     upright = width > COLUMN
     figure = sheet(width, (width - (20 if upright else 0)) * tall / wide + (10 if upright else 24))
     axes = figure.add_subplot()
-    axes.imshow(data.picture.values, interpolation="lanczos")
+    axes.imshow(data.picture.values)
     axes.axis("off")
     for name, place in zip(data.name.values, data["at"].values, strict=True):
         words = axes.annotate(name, place, (0, 1), textcoords="offset points", ha="center", va="bottom", fontsize=6)

@@ -195,7 +195,7 @@ def tissue_colours(names: Sequence[str]) -> list[str]:
     return [TISSUES.get(n) or ACTUATORS[k % len(ACTUATORS)] for k, n in enumerate(names)]
 
 
-def cutaway(results: Results) -> xr.Dataset:
+def cutaway(results: Results, size: tuple[int, int] = (1500, 1000)) -> xr.Dataset:
     """``volume`` [m^3] and ``tetrahedra`` of each tissue, and a ``picture`` of the run's mesh with everything
     wristwards of an actuator row and to one side taken away."""
     mesh, ports = results.mesh, (*results.transfer.inputs, *results.transfer.outputs)
@@ -203,17 +203,18 @@ def cutaway(results: Results) -> xr.Dataset:
     return xr.Dataset(
         {"volume": ("tissue", np.bincount(mesh.region, weights=true_volumes(mesh), minlength=n), {"units": "m3"}),
          "tetrahedra": ("tissue", np.bincount(mesh.region, minlength=n)),
-         "picture": (("row", "column", "rgb"), cutaway_picture(mesh, ports), {"table": "no"})},
+         "picture": (("row", "column", "rgb"), cutaway_picture(mesh, ports, size), {"table": "no"})},
         {"tissue": list(mesh.region_names)}, {"vertices": len(mesh.points)},
     )  # fmt: skip
 
 
-def cutaway_picture(mesh: TissueMesh, ports: Sequence[Port]) -> Any:
-    """Off-screen picture; a box on the camera's side is cut away down to the bones, past the first actuator."""
+def cutaway_picture(mesh: TissueMesh, ports: Sequence[Port], size: tuple[int, int]) -> Any:
+    """Off-screen picture of ``size`` [pixels]; a box on the camera's side is cut away down to the bones, past the first
+    actuator."""
     grid, low = volume_grid(mesh), MM * mesh.points.min(axis=0)
     coil = MM * np.array(ports[0].position)
     box = (low[0] - 1, coil[0] + 1, low[1] - 1, coil[1] + 14, low[2] - 1, 1e3)
-    with plotter_for((1500, 1000)) as plotter:
+    with plotter_for(size) as plotter:
         part = grid.clip_box(box, invert=True)
         for i, colour in enumerate(tissue_colours(mesh.region_names)):
             cells = np.flatnonzero(part.cell_data["region"] == i)
@@ -242,7 +243,7 @@ def plot_cutaway(data: xr.Dataset, *, width: int = PAGE) -> Figure:
     columns = data.sizes["tissue"] if width > COLUMN else 1
     figure = sheet(width, 16 + 4 * data.sizes["tissue"] // columns + width * picture.shape[0] / picture.shape[1])
     axes = figure.add_subplot()
-    axes.imshow(picture, interpolation="lanczos")
+    axes.imshow(picture)
     axes.axis("off")
     counts = data.tetrahedra.values
     labels = [

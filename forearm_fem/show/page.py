@@ -56,7 +56,7 @@ def as_csv(frame: pd.DataFrame, source: str = "") -> str:
 
 # Page: every report of the package, as one self-contained HTML file and as a short Markdown file beside it.
 
-_DPI = 200  # of pictures on a page
+_DPI = 150  # of pictures on a page
 _CSS_DPI = 96  # by which a browser draws them
 
 

@@ -9,6 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 import pandas as pd
+import pyvista
 import xarray as xr
 
 from .. import __version__
@@ -43,9 +44,10 @@ from .data import Results
 from .device import plot_trace, target_waves
 from .film import Look, plot_wavefield, wavefield
 from .judge import ERRORS, Strengths, plot_strength_map, strengths
-from .motion import View
+from .motion import View, cutaway
 from .page import Block, Page, Picture, Section, embedded
 from .registry import applies, kinds
+from .style import single
 
 # Report of a scene that renders nothing: how waves travel and decay from one contact, and the layered model beside it.
 
@@ -123,8 +125,14 @@ _MEANING = (
     "out. White is 1, orange more, purple less."
 )
 
-_STILL = (1500, 938)  # pixels: as many as the page shows; those of the figure take a second longer
+_STILL, _CUT = (1000, 625), (1200, 800)  # pixels: as many as the page shows; those of the figures take longer
 _TRACES = "The target solid, the other points dotted; each method has a scale of its own."
+
+
+def load_pictures() -> None:
+    """Load what pictures need and is loaded with the first of them: fonts, their painter, and a plotter in space."""
+    embedded(single(None), "")
+    _ = pyvista.Plotter
 
 
 def write_report(
@@ -259,7 +267,8 @@ def _trace(waves: xr.Dataset, data: Strengths, method: str) -> Picture:
 
 def _figure(results: Results, name: str) -> Picture:
     kind = kinds(results)[name]
-    return embedded(kind.draw(kind.compute(results)), kind.title)
+    data = cutaway(results, _CUT) if name == "mesh" else kind.compute(results)
+    return embedded(kind.draw(data), kind.title)
 
 
 def _still(results: Results, data: Strengths) -> Picture:

@@ -18,7 +18,7 @@ from ...ports import Port
 from ...scenario.limb import Membrane, Patch, Supports
 from ...tissue import Tissue
 from ...typing import FloatArray, IntArray
-from ..kernels.matrices import added, congruent
+from ..kernels.matrices import added, congruent, sorted_upper
 from ..space.constraints import LinearConstraints, RigidDisc, constraints
 from ..space.numbering import MixedSpace
 from ..space.orders import Orders, element_orders
@@ -97,7 +97,7 @@ def build_model(
 
     def assembled(region: int) -> TissueMatrices:
         """Matrices of one tissue."""
-        return constrained_matrices(orders, region, kept.transform, fibres=fibrous[region])
+        return _halved(constrained_matrices(orders, region, kept.transform, fibres=fibrous[region]))
 
     with ThreadPoolExecutor(_AT_A_TIME) as pool:  # sparse products and sums run without Python's lock
         parts = list(pool.map(assembled, range(len(names))))
@@ -134,6 +134,12 @@ def _by_tissue(names: Sequence[str], parts: Sequence[TissueMatrices]) -> dict[st
             for of, kind in kinds.items() if (matrix := getattr(part, of)) is not None}  # fmt: skip
 
 
+def _halved(part: TissueMatrices) -> TissueMatrices:
+    """The same without what lies below the diagonals of symmetric matrices, which is half of all that a solve keeps."""
+    fibres = None if part.fibres is None else sorted_upper(part.fibres)
+    return replace(part, shear=sorted_upper(part.shear), mass=sorted_upper(part.mass), fibres=fibres)
+
+
 def _moved(
     orders: Orders,
     kept: LinearConstraints,
@@ -145,7 +151,7 @@ def _moved(
     """The same, and the dashpots of cut ends, on a ``mesh`` whose points have moved."""
     there = replace(orders, low=replace(orders.low, mesh=mesh), high=replace(orders.high, mesh=mesh))
     names = mesh.region_names
-    parts = [constrained_matrices(there, r, kept.transform, fibres=f) for r, f in enumerate(fibrous)]
+    parts = [_halved(constrained_matrices(there, r, kept.transform, fibres=f)) for r, f in enumerate(fibrous)]
     found = _by_tissue(names, parts)
     if supports.ends == "absorb" and "end" in mesh.facets:
         found |= {name: congruent(m, rules.transform) for name, m in _dashpots(there.high, mesh.facets["end"])}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,17 +13,15 @@ from scipy.sparse import csr_array, eye_array, triu
 
 from ...typing import ComplexArray, FloatArray, IntArray
 from ..kernels.compiled import compiled, in_threads
-from ..kernels.matrices import SymmetricMatrices, SymmetricMatrix, stacked
+from ..kernels.matrices import SymmetricMatrices, SymmetricMatrix, sorted_upper, stacked
 from .coefficients import Coefficient
 
 
 @dataclass(frozen=True)
 class Term:
-    """One real symmetric matrix: ``values`` (m,) at ``positions`` (m,) of the operator's upper-triangle data."""
+    """What one of the matrices is, and its coefficient."""
 
     name: str
-    positions: IntArray
-    values: FloatArray
     coefficient: Coefficient
 
 
@@ -33,12 +30,14 @@ class AffineOperator:
     """Dynamic stiffness of displacements (first ``n_displacements``) and scaled pressures.
 
     ``indptr`` and ``indices`` describe the upper triangle of the common pattern, diagonal always included. The
-    matrix is complex symmetric, not Hermitian. Pressures are in units of ``pressure_scale`` [Pa].
+    ``matrices`` of the ``terms`` are whole and without the zeros of that pattern. Their sum is complex symmetric, not
+    Hermitian. Pressures are in units of ``pressure_scale`` [Pa].
     """
 
     indptr: IntArray
     indices: IntArray
     terms: tuple[Term, ...]
+    matrices: SymmetricMatrices
     n_displacements: int
     pressure_scale: float
 
@@ -51,29 +50,13 @@ class AffineOperator:
         """Upper-triangle values (nnz,) of A(omega)."""
         return self.combine([complex(t.coefficient.at(np.array(omega))) for t in self.terms])
 
-    @cached_property
-    def matrices(self) -> SymmetricMatrices:
-        """The terms' matrices, whole and without the zeros of the common pattern, for products."""
-        return SymmetricMatrices.from_uppers([self.term_matrix(t) for t in self.terms])
-
-    def forget_products(self) -> None:
-        """Give up the whole :attr:`matrices`, twice the size of the terms; they are made again when asked for."""
-        self.__dict__.pop("matrices", None)
-
     def at(self, omega: float) -> WeightedSum:
         """A(omega) for products with few columns."""
         return WeightedSum(self.matrices, np.array([complex(t.coefficient.at(np.array(omega))) for t in self.terms]))
 
     def combine(self, weights: Sequence[complex]) -> NDArray[Any]:
         """Upper-triangle values of a weighted sum of the terms, real where all weights are."""
-        factors = np.array(weights)
-        data, patterns = np.zeros(len(self.indices), dtype=factors.dtype), compiled("kernels.scatter")
-        for term, weight in zip(self.terms, factors, strict=True):
-            if patterns is None:
-                data[term.positions] += weight * term.values
-            else:
-                patterns.add_at(data, term.positions, weight, term.values)
-        return data
+        return self.matrices.upper_sum(np.array(weights), self.indptr, self.indices)
 
     def upper(self, data: ComplexArray | FloatArray) -> csr_array:
         """Upper triangle with given values as a sparse matrix."""
@@ -96,8 +79,7 @@ class AffineOperator:
 
     def term_matrix(self, term: Term) -> csr_array:
         """Upper triangle of one term, without the zeros of the common pattern."""
-        indptr = np.searchsorted(term.positions, self.indptr)  # positions ascend, row by row
-        return csr_array((term.values, self.indices[term.positions], indptr), shape=(self.n, self.n))
+        return csr_array(triu(self.matrices.one([t.name for t in self.terms].index(term.name)), format="csr"))
 
 
 @dataclass(frozen=True)
@@ -118,7 +100,7 @@ def affine_operator(
     matrices: Sequence[tuple[str, csr_array, Coefficient]], n_displacements: int, pressure_scale: float
 ) -> AffineOperator:
     """Put real symmetric matrices (full, equal shape) on one upper-triangle pattern, the diagonal included."""
-    uppers = in_threads(_sorted_upper, [matrix for _, matrix, _ in matrices])
+    uppers = in_threads(sorted_upper, [matrix for _, matrix, _ in matrices])
     eye = csr_array(eye_array(uppers[0].shape[0], format="csr"))
     if (patterns := compiled("kernels.scatter")) is None:
         pattern = eye
@@ -126,31 +108,12 @@ def affine_operator(
             ones = csr_array((np.ones(upper.nnz), upper.indices, upper.indptr), shape=upper.shape)
             pattern = csr_array(pattern + ones)
         pattern.sort_indices()
-        places = [_positions(upper, pattern) for upper in uppers]
+        indptr, indices = pattern.indptr, pattern.indices
     else:
-        indptr, indices, entries = patterns.merged(*stacked([*uppers, eye]))
-        pattern = csr_array((np.empty(len(indices), np.int8), indices, indptr), shape=eye.shape)
-        ends = np.cumsum([0, *(m.nnz for m in uppers)])
-        places = [entries[a:b] for a, b in pairwise(ends)]
-    terms = tuple(
-        Term(name, position, upper.data, coefficient)
-        for (name, _, coefficient), upper, position in zip(matrices, uppers, places, strict=True)
-    )
-    return AffineOperator(pattern.indptr, pattern.indices, terms, n_displacements, pressure_scale)
-
-
-def _sorted_upper(matrix: csr_array) -> csr_array:
-    if (patterns := compiled("kernels.scatter")) is not None:
-        start, columns, values = patterns.sorted_upper(matrix.indptr, matrix.indices, matrix.data)
-        return csr_array((values, columns, start), shape=matrix.shape)
-    upper = csr_array(triu(matrix, format="csr"))
-    upper.sort_indices()
-    return upper
-
-
-def _positions(upper: csr_array, pattern: csr_array) -> IntArray:
-    places = csr_array((np.arange(1, pattern.nnz + 1, dtype=float), pattern.indices, pattern.indptr), pattern.shape)
-    ones = csr_array((np.ones(upper.nnz), upper.indices, upper.indptr), shape=upper.shape)
-    index = places.multiply(ones).tocsr()
-    index.sort_indices()
-    return np.asarray(index.data.astype(np.int64) - 1)
+        indptr, indices, _ = patterns.merged(*stacked([*uppers, eye]))
+    terms = tuple(Term(name, coefficient) for name, _, coefficient in matrices)
+    whole = SymmetricMatrices.from_uppers(uppers)
+    return AffineOperator(
+        indptr.astype(np.int32, copy=False), indices.astype(np.int32, copy=False), terms, whole, n_displacements,
+        pressure_scale,
+    )  # fmt: skip

@@ -6,7 +6,6 @@ import ctypes
 import importlib
 import logging
 import platform
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ from types import ModuleType
 from typing import TypeVar
 
 import numpy as np
+import scipy.linalg.blas  # noqa: F401
 from threadpoolctl import ThreadpoolController
 
 # Modules of compiled kernels, for those who can do without them.
@@ -42,8 +42,7 @@ def import_compiled() -> None:
     for module in MODULES:
         compiled(module)
     if (patterns := compiled("kernels.scatter")) is not None:
-        none = np.empty(0)
-        patterns.add_at(none.astype(complex), none.astype(np.int64), 0j, none)
+        patterns.sort_in_place(np.empty(0, np.int64))
 
 
 # Work in threads of our own instead of BLAS's: many small pieces are done faster side by side.
@@ -54,7 +53,7 @@ Result = TypeVar("Result")
 
 def thread_count() -> int:
     """Threads that BLAS may use, which is how many are used here."""
-    return max([library.num_threads for library in _blas(len(sys.modules)).lib_controllers], default=1)
+    return max([library.num_threads for library in _blas().lib_controllers], default=1)
 
 
 def in_threads(work: Callable[[Thing], Result], things: Sequence[Thing]) -> list[Result]:
@@ -74,15 +73,15 @@ def one_blas_thread() -> Iterator[None]:
     OpenBLAS's other threads wait for work by spinning. On matrices of some hundred rows that takes more of the cores
     than they give.
     """
-    with _blas(len(sys.modules)).limit(limits=1):
+    with _blas().limit(limits=1):
         yield
 
 
-@lru_cache(maxsize=1)
-def _blas(modules: int) -> ThreadpoolController:
-    """NumPy's and SciPy's BLAS, found once for as many imported ``modules``, with which they are loaded: a search reads
-    the process' table of memory, 4-7 ms, and there would be hundreds in a sweep. MKL, which comes without an import,
-    may be missing: only PARDISO is called there, and not from these threads."""
+@lru_cache
+def _blas() -> ThreadpoolController:
+    """NumPy's and SciPy's BLAS, both loaded by now and found once: a search reads the process' table of memory, 4-7 ms,
+    and there would be hundreds in a sweep. MKL, which comes without an import, may be missing: only PARDISO is called
+    there, and not from these threads."""
     return ThreadpoolController().select(user_api="blas")
 
 

@@ -19,7 +19,8 @@ from typing import Any, TypeVar, cast
 
 import numba
 from numba.core.caching import _Cache
-from numba.core.compiler import CompileResult
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler, CompileResult
 from numba.core.serialize import dumps
 
 from ...store.folder import default_cache_dir, is_writable, private_temporary
@@ -30,16 +31,54 @@ _SOURCES = (_FEM / "kernels", _FEM / "linear" / "multifrontal")
 
 
 def kernel(function: F) -> F:
-    """``function`` compiled without the interpreter's lock; its machine code is kept between runs.
-
-    One whose name begins with an underscore is called by kernels only: it has no entry for Python, which would take as
-    long to compile as a small kernel itself, and calling it from there ends the process.
-    """
-    options: dict[str, Any] = {"no_cfunc_wrapper": True, "no_cpython_wrapper": function.__name__.startswith("_")}
-    compiled: Any = numba.njit(nogil=True, **options)(function)
+    """``function`` compiled without the interpreter's lock; its machine code is kept between runs."""
+    options: dict[str, Any] = {"nogil": True, "no_cfunc_wrapper": True}
+    compiled: Any = numba.njit(**options)(function)
     if (folder := kernels_folder()) is not None:
         compiled._cache = KeptCode(f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}", folder)
     return cast(F, compiled)
+
+
+def inner_kernel(function: F) -> F:
+    """``function`` for kernels only, part of the machine code of each that calls it; called from Python it ends the
+    process.
+
+    Alone it is neither optimised nor made machine code, which would take as long again as in its callers.
+    """
+    options: dict[str, Any] = {"no_cfunc_wrapper": True, "no_cpython_wrapper": True, "pipeline_class": _LinkedOnly}
+    return cast(F, numba.njit(**options)(function))
+
+
+class _LinkedOnly(Compiler):
+    """numba's compiler, its result only for linking."""
+
+    def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
+        base: Any = super()
+        part: Any = _Part
+        base.__init__(typing, target, part(target.codegen(), "part"), *rest)
+
+
+class _Part(JITCodeLibrary):
+    """Code as it comes from lowering, which has no address."""
+
+    def _optimize_functions(self, ll_module: Any) -> None: ...
+
+    def _optimize_final_module(self) -> None: ...
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """None."""
+        return 0
+
+    @property
+    def codegen(self) -> Any:
+        """What :meth:`set_env` is asked of."""
+        return self
+
+    def set_env(self, name: str, env: Any) -> None:
+        """Nothing: without an entry for Python there is nothing to set."""
 
 
 class KeptCode(_Cache):

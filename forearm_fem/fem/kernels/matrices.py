@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import csc_array, csr_array, triu
 
 from ...typing import ComplexArray, FloatArray, IntArray
 from .compiled import compiled, in_threads, thread_count
@@ -49,14 +49,14 @@ def added(matrices: Sequence[csr_array]) -> csr_array:
         return csr_array(sum(matrices))
     indptr, indices, places = patterns.merged(*stacked(matrices))
     values = np.bincount(places, np.concatenate([m.data for m in matrices]), len(indices))
-    return csr_array((values, indices, indptr), shape=matrices[0].shape)
+    return _matrix((indptr, indices, values), matrices[0].shape)
 
 
 def stacked(matrices: Sequence[csr_array]) -> tuple[IntArray, IntArray]:
     """Row starts (n_matrix, n_row + 1) of all matrices in their columns, one matrix after the other."""
     ends = np.cumsum([0, *(m.nnz for m in matrices)])
     starts = np.array([m.indptr + end for m, end in zip(matrices, ends[:-1], strict=True)], dtype=np.int64)
-    return starts, np.concatenate([m.indices for m in matrices])
+    return starts, np.concatenate([m.indices.astype(np.int32, copy=False) for m in matrices])
 
 
 def _rows(kind: Callable[..., Any], matrix: csr_array) -> Any:
@@ -74,14 +74,29 @@ def projected(left: csr_array, matrix: csr_array, right: csr_array) -> csr_array
     return _transposed_product(csr_array(right.T), csr_array(matrix.T), left)
 
 
+def sorted_upper(matrix: csr_array) -> csr_array:
+    """Upper triangle, columns ascending."""
+    patterns: Any = compiled("kernels.scatter")
+    if patterns is not None:
+        return _matrix(patterns.sorted_upper(*_rows(patterns.Sparse, matrix)), matrix.shape)
+    upper = csr_array(triu(matrix, format="csr"))
+    upper.sort_indices()
+    return upper
+
+
+def _matrix(rows: Any, shape: tuple[int, int]) -> csr_array:
+    """A matrix whose kernels gave row starts, columns and values; in 32 bits, or scipy copies columns to 64."""
+    indptr, indices, data = rows
+    return csr_array((data, indices, indptr.astype(np.int32)), shape=shape)
+
+
 def _transposed_product(a: csr_array, b: csr_array, c: csr_array) -> csr_array:
     patterns: Any = compiled("kernels.scatter")
     if patterns is None:
         return csr_array((a @ b @ c).T)
     shape = (c.shape[1], a.shape[0])
     parts = [_rows(patterns.Sparse, m) for m in (a, b, c)]
-    found = patterns.transposed_product(*parts, shape[0])
-    return csr_array((found.data, found.indices, found.indptr), shape=shape)
+    return _matrix(patterns.transposed_product(*parts, shape[0]), shape)
 
 
 # Real symmetric matrices of one size that are multiplied with the same columns, all in one pass over the rows.
@@ -129,6 +144,24 @@ class SymmetricMatrices:
         start, end = self.indptr[t, 0], self.indptr[t, -1]
         return csr_array((self.data[start:end], self.indices[start:end], self.indptr[t] - start), shape=(self.n,) * 2)
 
+    def upper_sum(self, weights: NDArray[Any], indptr: IntArray, indices: IntArray) -> NDArray[Any]:
+        """Upper triangle of sum_t ``weights[t]`` A_t on a pattern that holds all of theirs, real where weights are."""
+        kernels: Any = compiled("kernels.products")
+        data = np.zeros(len(indices), dtype=np.result_type(weights, float))
+        if kernels is None:
+            row = np.repeat(np.arange(self.n), np.diff(indptr))
+            for t in np.flatnonzero(weights).tolist():
+                data += weights[t] * self.one(t)[row, indices]
+            return data
+        factors = weights.astype(data.dtype, copy=False)
+
+        def work(piece: tuple[int, int]) -> None:
+            """One piece of the rows."""
+            kernels.add_uppers(piece, self.indptr, self.indices, self.data, factors, indptr, indices, data)
+
+        self._in_pieces(work, self._work)
+        return data
+
     def touching(self, rows: slice) -> list[int]:
         """Indices of the matrices with entries in ``rows``."""
         return np.flatnonzero(self.indptr[:, rows.stop] > self.indptr[:, rows.start]).tolist()
@@ -154,8 +187,8 @@ class SymmetricMatrices:
 
         return product
 
-    def real_sum(self, weights: FloatArray, columns: Sequence[FloatArray]) -> FloatArray:
-        """sum_j sum_t ``weights[j, t]`` A_t x_j (n, k) for real ``columns`` x_j (n, k), all of one width.
+    def real_sum(self, weights: FloatArray, columns: Sequence[NDArray[Any]]) -> FloatArray:
+        """sum_j sum_t ``weights[j, t]`` A_t x_j (n, k) for real ``columns`` x_j (n, k), all of one width and precision.
 
         Raises ValueError for other shapes, beyond which compiled code would read.
         """
@@ -165,11 +198,14 @@ class SymmetricMatrices:
             used = [(t, j) for j, t in np.argwhere(weights)]
             return np.asarray(sum((weights[j, t] * (self.one(t) @ columns[j]) for t, j in used), np.zeros((self.n, k))))
         sources = [_wide(x) for x in columns]
+        if any(x.strides != sources[0].strides for x in sources):
+            sources = [np.ascontiguousarray(x) for x in sources]
         total, addresses = np.empty((self.n, sources[0].shape[1])), np.array([x.ctypes.data for x in sources])
+        like, apart = np.empty(0, sources[0].dtype), sources[0].strides[0]
 
         def work(piece: tuple[int, int]) -> None:
             """One piece of the rows."""
-            kernels.weighted_rows(piece, self.indptr, self.indices, self.data, addresses, weights, total)
+            kernels.weighted_rows(piece, self.indptr, self.indices, self.data, addresses, like, apart, weights, total)
 
         self._in_pieces(work, self._work)
         return total[:, :k]
@@ -183,7 +219,7 @@ class SymmetricMatrices:
         kernels, k = compiled("kernels.products"), x.shape[1]
         if kernels is None or not all(total.flags.c_contiguous for total in totals):
             return self._added_by_scipy(totals, weights, x)
-        pairs = _wide(np.ascontiguousarray(x).view(float))
+        pairs = _wide(np.ascontiguousarray(x).view(float))  # one behind the other
         narrow = pairs.shape[1] > 2 * k  # fewer columns than the kernel takes
         sums = [np.zeros((self.n, _LANES // 2), complex) for _ in totals] if narrow else totals
         addresses, weights = np.array([s.ctypes.data for s in sums]), np.ascontiguousarray(weights, dtype=complex)
@@ -227,9 +263,10 @@ class SymmetricMatrices:
 
 
 def _wide(x: NDArray[Any]) -> NDArray[Any]:
-    """``x`` (n, k) by rows, with columns of zeros where it has fewer than the kernels take."""
+    """``x`` (n, k) by rows, wherever they lie, with columns of zeros where it has fewer than the kernels take."""
     missing = _LANES - x.shape[1]
-    return np.ascontiguousarray(np.pad(x, ((0, 0), (0, missing))) if missing > 0 else x)
+    whole = np.pad(x, ((0, 0), (0, missing))) if missing > 0 else x
+    return whole if whole.strides[1] == whole.itemsize else np.ascontiguousarray(whole)
 
 
 def _rows_of(upper: csr_array) -> IntArray:
@@ -240,9 +277,11 @@ def _rows_of(upper: csr_array) -> IntArray:
 def _whole(upper: csr_array) -> tuple[IntArray, IntArray, FloatArray]:
     """Row starts, columns and values of the symmetric matrix with this upper triangle."""
     if (kernels := compiled("kernels.products")) is not None:
-        start, columns, values = kernels.mirrored(upper.indptr, upper.indices, upper.data)
+        start, columns, values = kernels.mirrored(*_rows(lambda *parts: parts, upper))
         return start, columns, values
-    diagonal = csr_array((upper.diagonal(), (np.arange(len(upper.indptr) - 1),) * 2), shape=upper.shape)
-    full = csr_array(upper + upper.T - diagonal)
+    row, column = _rows_of(upper), upper.indices
+    off = row != column
+    places = np.concatenate([row, column[off]]), np.concatenate([column, row[off]])
+    full = csr_array((np.concatenate([upper.data, upper.data[off]]), places), shape=upper.shape)  # zeros are kept
     full.sort_indices()
     return full.indptr, full.indices.astype(np.int32), full.data

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ...typing import ComplexArray, FloatArray, IntArray
 from . import simd as _lanes
-from .jit import kernel
+from .jit import inner_kernel, kernel
+from .scatter import add_up
 
 # Products of long columns with few others in compiled code, which BLAS would pack the long ones for.
 # Columns may be in single or double precision; sums and the few others are in double precision.
@@ -42,7 +43,7 @@ def add_combination(block: FloatArray, known: FloatArray, total: FloatArray) -> 
         _copy(part[:count, : total.shape[1]], total[begin : begin + count])
 
 
-@kernel
+@inner_kernel
 def _copy(source: FloatArray, to: FloatArray) -> None:
     """Put ``source`` into the corner of ``to``; written out, as slices of arrays take numba seconds more to compile."""
     for i in range(source.shape[0]):
@@ -50,7 +51,7 @@ def _copy(source: FloatArray, to: FloatArray) -> None:
             to[i, j] = source[i, j]
 
 
-@kernel
+@inner_kernel
 def _add_product(left: FloatArray, right: FloatArray, total: FloatArray) -> None:
     """total (m, w) += left (m, k) right (k, w) for a multiple w of 16."""
     row = 8 * total.shape[1]
@@ -62,7 +63,7 @@ def _add_product(left: FloatArray, right: FloatArray, total: FloatArray) -> None
             _add_one(left[i], source, to + row * i, row)
 
 
-@kernel
+@inner_kernel
 def _add_four(left: FloatArray, right: int, to: int, row: int) -> None:
     none = lanes.no_doubles()
     a, b, c, d, e, f, g, h = none, none, none, none, none, none, none, none
@@ -83,7 +84,7 @@ def _add_four(left: FloatArray, right: int, to: int, row: int) -> None:
     _add_to(to + 3 * row, g, h)
 
 
-@kernel
+@inner_kernel
 def _add_one(left: FloatArray, right: int, to: int, row: int) -> None:
     a, b = lanes.no_doubles(), lanes.no_doubles()
     for k in range(len(left)):
@@ -94,51 +95,51 @@ def _add_one(left: FloatArray, right: int, to: int, row: int) -> None:
     _add_to(to, a, b)
 
 
-@kernel
+@inner_kernel
 def _add_to(place: int, one: Any, two: Any) -> None:
     lanes.store(place, lanes.plus(lanes.doubles_at(place), one))
     lanes.store(place + _VECTOR, lanes.plus(lanes.doubles_at(place + _VECTOR), two))
 
 
 # Products of sparse matrices with columns, row by row in compiled code: sums stay in registers.
-# ``x`` and results are given by their addresses, with ``width`` numbers in a row, eight at least. Where that is no
-# multiple of eight, the last eight of a row are worked out with the others and overlap them.
+# ``x`` and results are given by their addresses; rows of x lie ``row`` bytes apart, and ``width`` numbers of each,
+# eight at least, are taken. Where that is no multiple of eight, the last eight overlap the others.
 
 _LANES = 8  # doubles of a vector
 _BYTES = 64  # of a vector
 
 
-@kernel
+@inner_kernel
 def row_product(
-    low: int, high: int, indices: IntArray, data: FloatArray, x: int, like: NDArray[Any], width: int, to: int
+    low: int, high: int, indices: IntArray, data: FloatArray, x: int, like: NDArray[Any], row: int, width: int, to: int
 ) -> None:
     """Row of the product, for a matrix row with the entries ``low`` to ``high``; numbers of x are ``like`` these."""
     at, last = 0, width - _LANES
     while at <= last:
         if at + _LANES < last:
             steps = min(_LANES, last - at), min(2 * _LANES, last - at), min(3 * _LANES, last - at)
-            _four(low, high, indices, data, x + like.itemsize * at, like, width, to + 8 * at, steps)
+            _four(low, high, indices, data, x + like.itemsize * at, like, row, to + 8 * at, steps)
             at += 4 * _LANES
         elif at < last:
-            _two(low, high, indices, data, x + like.itemsize * at, like, width, to + 8 * at, last - at)
+            _two(low, high, indices, data, x + like.itemsize * at, like, row, to + 8 * at, last - at)
             return
         else:
-            _one(low, high, indices, data, x + like.itemsize * at, like, width, to + 8 * at)
+            _one(low, high, indices, data, x + like.itemsize * at, like, row, to + 8 * at)
             at += _LANES
         if last < at < last + _LANES:
             at = last
 
 
-@kernel
+@inner_kernel
 def _four(
-    low: int, high: int, indices: IntArray, data: FloatArray, x: int, like: NDArray[Any], width: int, to: int,
+    low: int, high: int, indices: IntArray, data: FloatArray, x: int, like: NDArray[Any], row: int, to: int,
     steps: tuple[int, int, int],
 ) -> None:  # fmt: skip
     """Four vectors of a row of the product, ``steps`` columns after the first."""
     a, b, c, d = lanes.no_doubles(), lanes.no_doubles(), lanes.no_doubles(), lanes.no_doubles()
     size = like.itemsize
     for p in range(low, high):
-        at = x + size * width * indices[p]
+        at = x + row * indices[p]
         a = lanes.plus_scaled(a, lanes.as_doubles(at, like), data[p])
         b = lanes.plus_scaled(b, lanes.as_doubles(at + size * steps[0], like), data[p])
         c = lanes.plus_scaled(c, lanes.as_doubles(at + size * steps[1], like), data[p])
@@ -149,27 +150,27 @@ def _four(
     lanes.store(to + 8 * steps[2], d)
 
 
-@kernel
+@inner_kernel
 def _two(
-    low: int, high: int, indices: IntArray, data: FloatArray, x: int, like: NDArray[Any], width: int, to: int, step: int
+    low: int, high: int, indices: IntArray, data: FloatArray, x: int, like: NDArray[Any], row: int, to: int, step: int
 ) -> None:
     """Two vectors of a row of the product, ``step`` columns apart."""
     a, b = lanes.no_doubles(), lanes.no_doubles()
     for p in range(low, high):
-        at = x + like.itemsize * width * indices[p]
+        at = x + row * indices[p]
         a = lanes.plus_scaled(a, lanes.as_doubles(at, like), data[p])
         b = lanes.plus_scaled(b, lanes.as_doubles(at + like.itemsize * step, like), data[p])
     lanes.store(to, a)
     lanes.store(to + 8 * step, b)
 
 
-@kernel
+@inner_kernel
 def _one(
-    low: int, high: int, indices: IntArray, data: FloatArray, x: int, like: NDArray[Any], width: int, to: int
+    low: int, high: int, indices: IntArray, data: FloatArray, x: int, like: NDArray[Any], row: int, to: int
 ) -> None:
     total = lanes.no_doubles()
     for p in range(low, high):
-        total = lanes.plus_scaled(total, lanes.as_doubles(x + like.itemsize * width * indices[p], like), data[p])
+        total = lanes.plus_scaled(total, lanes.as_doubles(x + row * indices[p], like), data[p])
     lanes.store(to, total)
 
 
@@ -184,12 +185,15 @@ def add_weighted_rows(
     """
     padded = -(-width // 8) * 8
     row, turned, sums = np.zeros(padded), np.zeros(padded), np.zeros((len(totals), padded))
-    used = [t for t in range(len(indptr)) if np.any(weights[:, t] != 0)]
+    used = np.zeros(len(indptr))
+    for o in range(len(totals)):
+        for t in range(len(indptr)):
+            used[t] += weights[o, t] != 0
     for i in range(rows[0], rows[1]):
         sums[:] = 0
-        for t in used:
-            if indptr[t, i] < indptr[t, i + 1]:
-                row_product(indptr[t, i], indptr[t, i + 1], indices, data, x, data, width, row.ctypes.data)
+        for t in range(len(indptr)):
+            if used[t] > 0 and indptr[t, i] < indptr[t, i + 1]:
+                row_product(indptr[t, i], indptr[t, i + 1], indices, data, x, data, 8 * width, width, row.ctypes.data)
                 for c in range(0, width, 2):
                     turned[c], turned[c + 1] = -row[c + 1], row[c]
                 for o in range(len(totals)):
@@ -200,7 +204,7 @@ def add_weighted_rows(
                 total[c] += sums[o, c]
 
 
-@kernel
+@inner_kernel
 def _add_combined(weight: complex, row: FloatArray, turned: FloatArray, total: FloatArray) -> None:
     """Add ``weight`` times a row of complex numbers to ``total``; ``turned`` is i times the row."""
     if weight == 0:
@@ -214,9 +218,12 @@ def _add_combined(weight: complex, row: FloatArray, turned: FloatArray, total: F
 @kernel
 def weighted_rows(
     rows: tuple[int, int], indptr: IntArray, indices: IntArray, data: FloatArray, sources: IntArray,
-    weights: FloatArray, total: FloatArray,
+    like: NDArray[Any], apart: int, weights: FloatArray, total: FloatArray,
 ) -> None:  # fmt: skip
-    """``rows`` from and up to of sum_j sum_t weights[j, t] A_t x_j, for real columns x_j at addresses sources[j]."""
+    """``rows`` from and up to of sum_j sum_t weights[j, t] A_t x_j, for real columns x_j at addresses sources[j].
+
+    Their numbers are ``like`` these, their rows so many bytes ``apart``.
+    """
     width = total.shape[1]
     row, sums = np.zeros(-(-width // _LANES) * _LANES), np.zeros(-(-width // _LANES) * _LANES)
     for i in range(rows[0], rows[1]):
@@ -226,13 +233,13 @@ def weighted_rows(
                 for j in range(len(sources)):
                     if weights[j, t] != 0:
                         low, high = indptr[t, i], indptr[t, i + 1]
-                        row_product(low, high, indices, data, sources[j], data, width, row.ctypes.data)
+                        row_product(low, high, indices, data, sources[j], like, apart, width, row.ctypes.data)
                         _add_scaled(weights[j, t], row, sums)
         for c in range(width):
             total[i, c] = sums[c]
 
 
-@kernel
+@inner_kernel
 def _add_scaled(weight: float, row: FloatArray, total: FloatArray) -> None:
     for c in range(0, 8 * len(total), _BYTES):
         at = total.ctypes.data + c
@@ -246,7 +253,25 @@ def some_rows(
     """``rows`` from and up to of A x, for columns ``x`` in single or double precision."""
     for i in range(rows[0], rows[1]):
         to = y.ctypes.data + y.strides[0] * (i - rows[0])
-        row_product(indptr[i], indptr[i + 1], indices, data, x.ctypes.data, x, x.shape[1], to)
+        row_product(indptr[i], indptr[i + 1], indices, data, x.ctypes.data, x, x.strides[0], x.shape[1], to)
+
+
+@kernel
+def add_uppers(
+    rows: tuple[int, int], indptr: IntArray, indices: IntArray, data: FloatArray, weights: NDArray[Any],
+    starts: IntArray, columns: IntArray, total: NDArray[Any],
+) -> None:  # fmt: skip
+    """Add sum_t weights[t] A_t, on and above the diagonal, to ``total`` on a pattern; both have ascending columns."""
+    for i in range(rows[0], rows[1]):
+        for t in range(len(indptr)):
+            if weights[t] != 0:
+                k = starts[i]
+                for p in range(indptr[t, i], indptr[t, i + 1]):
+                    j = indices[p]
+                    if j >= i:
+                        while columns[k] < j:
+                            k += 1
+                        total[k] += weights[t] * data[p]
 
 
 @kernel
@@ -258,7 +283,7 @@ def mirrored(indptr: IntArray, indices: IntArray, data: FloatArray) -> tuple[Int
         for p in range(indptr[i], indptr[i + 1]):
             start[i + 1] += 1
             start[indices[p] + 1] += indices[p] != i
-    start = np.cumsum(start)
+    add_up(start)
     free, columns, values = start[:-1].copy(), np.empty(start[n], np.int32), np.empty(start[n])
     for i in range(n):
         for p in range(indptr[i], indptr[i + 1]):

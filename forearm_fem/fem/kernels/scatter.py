@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...typing import ComplexArray, FloatArray, IntArray
-from .jit import kernel
+from ...typing import FloatArray, IntArray
+from .jit import inner_kernel, kernel
 
 # Short rows of column numbers put in order in compiled code: numba's own sort takes seconds to compile.
 
 
-@kernel
+@inner_kernel
 def sort_in_place(keys: IntArray) -> None:
     """Put ``keys`` (m,) in ascending order; m is a row's entries, some hundreds (Shell 1959, gaps of Knuth)."""
     gap = 1
@@ -26,6 +26,13 @@ def sort_in_place(keys: IntArray) -> None:
                 at -= gap
             keys[at] = key
         gap //= 3
+
+
+@inner_kernel
+def add_up(counts: IntArray) -> None:
+    """Running sums in place: starts of rows from a zero and the entries of each. NumPy's take longer to compile."""
+    for k in range(1, len(counts)):
+        counts[k] += counts[k - 1]
 
 
 # Sums and products of sparse matrices in compiled code; ``operator`` and :mod:`.sparse` have the same by scipy.
@@ -52,7 +59,7 @@ def transposed_product(rows: Sparse, matrix: Sparse, columns: Sparse, width: int
         for j in found[: _row(i, rows, matrix, columns, seen, found, total)]:
             start[j + 1] += 1
             total[j] = 0.0
-    start = np.cumsum(start)
+    add_up(start)
     seen[:] = -1
     end, indices, data = start[:-1].copy(), np.empty(start[width], np.int32), np.empty(start[width])
     for i in range(n):
@@ -63,7 +70,7 @@ def transposed_product(rows: Sparse, matrix: Sparse, columns: Sparse, width: int
     return Sparse(start, indices, data)
 
 
-@kernel
+@inner_kernel
 def _row(
     i: int, rows: Sparse, matrix: Sparse, columns: Sparse, seen: IntArray, found: IntArray, total: FloatArray
 ) -> int:
@@ -91,7 +98,7 @@ def sorted_upper(indptr: IntArray, indices: IntArray, data: FloatArray) -> tuple
     for i in range(n):
         for p in range(indptr[i], indptr[i + 1]):
             start[i + 1] += indices[p] >= i
-    start = np.cumsum(start)
+    add_up(start)
     columns, values, row = np.empty(start[n], np.int32), np.empty(start[n]), np.empty(n)
     for i in range(n):
         k = start[i]
@@ -136,13 +143,6 @@ def merged(starts: IntArray, columns: IntArray) -> tuple[IntArray, IntArray, Int
             k += 1
         indptr[i + 1] = k
     return indptr, indices[:k].copy(), places
-
-
-@kernel
-def add_at(total: ComplexArray, places: IntArray, weight: complex, values: FloatArray) -> None:
-    """Add ``weight`` times ``values`` (m,) at ``places`` (m,) of ``total``."""
-    for k in range(len(places)):
-        total[places[k]] += weight * values[k]
 
 
 # Element matrices summed into sparse ones in compiled code; ``tissues`` has the same in NumPy, by sorting.
@@ -191,14 +191,14 @@ def pattern(rows: IntArray, columns: IntArray, n_rows: int, n_columns: int) -> P
     return Pattern(indptr, indices, place)
 
 
-@kernel
+@inner_kernel
 def _elements_of(rows: IntArray, n_rows: int) -> tuple[IntArray, IntArray]:
     """Starts, and element times nr plus number in it, of all that have each of the rows."""
     flat = np.ascontiguousarray(rows).ravel()
     start = np.zeros(n_rows + 1, np.int64)
     for r in flat:
         start[r + 1] += 1
-    start = np.cumsum(start)
+    add_up(start)
     touching, free = np.empty(len(flat), np.int64), start[:-1].copy()
     for k, r in enumerate(flat):
         touching[free[r]] = k
@@ -292,7 +292,7 @@ def add_gradients_in_place(values: FloatArray, pairs: Pattern, tetrahedra: IntAr
                     values[3 * pairs.place[t, p, b] + i] += matrices[i, e, p, b]
 
 
-@kernel
+@inner_kernel
 def _combine(total: FloatArray, weights: FloatArray, parts: FloatArray) -> None:
     """Set ``total`` (m,) to the weighted sum of nine ``parts`` (9, m), in one pass."""
     w = weights
@@ -304,7 +304,7 @@ def _combine(total: FloatArray, weights: FloatArray, parts: FloatArray) -> None:
         )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def _shear_weights(inverse: FloatArray, volume: float) -> FloatArray:
     """Of the products of gradients (9, ab) in the block's entries (9, ij); see ``tissues.shear_blocks``."""
     weights = np.empty((9, 9))

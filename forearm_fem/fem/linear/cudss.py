@@ -105,7 +105,7 @@ class CudssFactor:
 
     def factorise(self, data: ComplexArray | FloatArray) -> None:
         """See :class:`.factor.Factor`."""
-        self._data = data
+        self._real = not np.iscomplexobj(data)
         _told(lambda: self._solver.reset_operands(a=self._matrix(data)))
         _told(self._solver.factorize)
 
@@ -113,7 +113,7 @@ class CudssFactor:
         """See :class:`.factor.Factor`."""
         pieces = (right[:, k : k + _AT_ONCE] for k in range(0, right.shape[1], _AT_ONCE))
         x = np.hstack([self._solved(piece) for piece in pieces]).astype(complex)
-        return x if np.iscomplexobj(self._data) else np.asarray(x.real)
+        return np.asarray(x.real) if self._real else x
 
     def _solved(self, right: NDArray[Any]) -> NDArray[Any]:
         _told(lambda: self._solver.reset_operands(b=self._columns(right)))
@@ -124,14 +124,14 @@ class CudssFactor:
         """See :class:`.factor.Factor`; factors lie on the device and are in nobody's way."""
         return None
 
-    def harden(self) -> bool:
+    def harden(self, data: ComplexArray | FloatArray) -> bool:
         """See :class:`.factor.Factor`: in double precision."""
         if not self.single:
             return False
         self.release()
         self.single = False
-        self._analyse(self._data)
-        self.factorise(self._data)
+        self._analyse(data)
+        self.factorise(data)
         return True
 
     def release(self) -> None:

@@ -39,15 +39,13 @@ class DirectSolver:
         """Solutions (n, n_port) for a unit force on each of the ``ports``, all where None; the factor stays for more
         right-hand sides."""
         omega, forces = 2 * np.pi * frequency, self.model.functionals
-        self.factor.factorise(self.model.operator.data(omega))
         chosen = forces if ports is None else forces[:, ports]
-        return self._solve(self.model.operator.at(omega), chosen.astype(complex))
+        return self._solved(self.model.operator.data(omega), self.model.operator.at(omega), chosen.astype(complex))
 
     def about_rate(self, weights: FloatArray, forces: FloatArray) -> Solution:
         """Real solutions (n, b) for ``forces`` (n, b) where the terms have real ``weights``; the factor stays."""
         operator = self.model.operator
-        self.factor.factorise(operator.combine(weights.tolist()))
-        return self._solve(WeightedSum(operator.matrices, weights), forces)
+        return self._solved(operator.combine(weights.tolist()), WeightedSum(operator.matrices, weights), forces)
 
     def taylor(self, frequency: float, start: ComplexArray, orders: IntArray) -> list[ComplexArray]:
         """Taylor coefficients in omega of the solutions about ``frequency``; column i to order ``orders[i]``.
@@ -75,7 +73,8 @@ class DirectSolver:
             series[-1] = series[-1] + self.factor.solve(pending)
         return series
 
-    def _solve(self, matrix: WeightedSum, right: NDArray[Any]) -> Solution:
+    def _solved(self, data: ComplexArray | FloatArray, matrix: WeightedSum, right: NDArray[Any]) -> Solution:
+        self.factor.factorise(data)
         while self.safe:
             try:
                 solution = refined_solve(self.factor, matrix, right, tolerance=self.tolerance)
@@ -83,7 +82,7 @@ class DirectSolver:
                     return solution
             except SolverError as problem:
                 _log.info("%s", problem)
-            if not self.factor.harden():
+            if not self.factor.harden(data):
                 break
             how = "single precision with matching" if self.factor.single else "double precision"
             how = "the largest pivots" if self.factor.name == "superlu" else how
@@ -99,7 +98,6 @@ class DirectSolver:
         """
         omega, count = 2 * np.pi * frequency, len(self.model.ports)
         carried = np.hstack([self.model.functionals, self.model.operator.at(omega).product(known)])
-        self.model.operator.forget_products()  # the fronts need the room; made again in a second or two
         try:
             products = self.factor.products(self.model.operator.data(omega), carried)
         except SolverError as problem:

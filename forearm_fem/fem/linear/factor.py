@@ -130,8 +130,8 @@ class Factor(Protocol):
         """
         ...
 
-    def harden(self) -> bool:
-        """Factorise the same matrix more accurately; False where that cannot be done."""
+    def harden(self, data: ComplexArray | FloatArray) -> bool:
+        """Factorise the same matrix, whose values are ``data``, more accurately; False where that cannot be done."""
         ...
 
     def release(self) -> None:
@@ -163,7 +163,7 @@ class SuperLUFactor:
 
     def factorise(self, data: ComplexArray | FloatArray) -> None:
         """See :class:`Factor`."""
-        self._data, self._real = data, not np.iscomplexobj(data)
+        self._real = not np.iscomplexobj(data)
         upper = csr_array((data.astype(complex), self._indices, self._indptr), shape=self._shape)
         full = csc_array(upper + upper.T)
         full.setdiag(upper.diagonal())
@@ -183,12 +183,12 @@ class SuperLUFactor:
         """See :class:`Factor`; this one cannot."""
         return None
 
-    def harden(self) -> bool:
+    def harden(self, data: ComplexArray | FloatArray) -> bool:
         """See :class:`Factor`; False where the largest pivots were taken already."""
         if self._how is _LARGEST:
             return False
         self._how = _LARGEST
-        self.factorise(self._data)
+        self.factorise(data)
         return True
 
     def release(self) -> None:
@@ -217,7 +217,6 @@ class FallbackFactor:
 
     def factorise(self, data: ComplexArray | FloatArray) -> None:
         """See :class:`Factor`."""
-        self._data = data
         self.now.factorise(data)
 
     def solve(self, right: Columns) -> Columns:
@@ -228,16 +227,16 @@ class FallbackFactor:
         """See :class:`Factor`."""
         return self.now.products(data, right)
 
-    def harden(self) -> bool:
+    def harden(self, data: ComplexArray | FloatArray) -> bool:
         """See :class:`Factor`; False where PARDISO is not installed or has done all it can."""
         if isinstance(self.now, pardiso.PardisoFactor):
-            return self.now.harden()
+            return self.now.harden(data)
         if pardiso.mkl_library() is None:
             return False
         self.now.release()
-        upper = csr_array((self._data, self._indices, self._indptr), shape=self._shape)
+        upper = csr_array((data, self._indices, self._indptr), shape=self._shape)
         self.now = pardiso.PardisoFactor(upper, single=True)
-        self.now.factorise(self._data)
+        self.now.factorise(data)
         return True
 
     def release(self) -> None:

@@ -95,7 +95,7 @@ class PardisoFactor:
 
     def factorise(self, data: ComplexArray | FloatArray) -> None:
         """Numerical factorisation for new values ``data`` on the pattern analysed; real ones become complex."""
-        self._values, self._real = data, not np.iscomplexobj(data)
+        self._real = not np.iscomplexobj(data)
         self._data = np.ascontiguousarray(data, dtype=self._dtype)
         self._run(_FACTORISE)
 
@@ -103,14 +103,14 @@ class PardisoFactor:
         """See :class:`.factor.Factor`; this one cannot."""
         return None
 
-    def harden(self) -> bool:
+    def harden(self, data: ComplexArray | FloatArray) -> bool:
         """Factorise this matrix and all later ones with matching, at the next call in double precision, then False."""
         if self._matching and not self.single:
             return False
         self.release()
         self.single = self.single and not self._matching
         self._matching, self._order = True, None
-        self._analyse(self._values)
+        self._analyse(data)
         self._run(_FACTORISE)
         return True
 

@@ -125,7 +125,7 @@ def _padded(width: int) -> int:
 def _add_inner(block: Columns, found: Sequence[tuple[int, FloatArray]], totals: FloatArray) -> None:
     """Add block^T y to ``totals[t]`` for each (t, y) that was ``found``."""
     kernels = compiled("kernels.products") if totals.shape[2] <= _FEW else None
-    whole = block if kernels is not None else block.astype(float, copy=False)
+    whole = np.ascontiguousarray(block) if kernels is not None else block.astype(float, copy=False)
     for t, y in found:
         if kernels is not None:
             kernels.add_inner(whole, y, totals[t])
@@ -137,7 +137,7 @@ def _add_combination(block: Columns, factors: FloatArray, total: FloatArray) -> 
     """Add block factors to ``total`` (m, k); ``factors`` may have more columns, which are zero."""
     kernels = compiled("kernels.products") if factors.shape[1] <= _FEW else None
     if kernels is not None:
-        kernels.add_combination(block, factors, total)
+        kernels.add_combination(np.ascontiguousarray(block), factors, total)
     else:
         total += block.astype(float, copy=False) @ factors
 
@@ -154,7 +154,7 @@ def _rough_inner(block: Columns, columns: NDArray[np.float32]) -> NDArray[np.flo
         for rows in pieces:
             part, some, own = np.zeros((count, width), np.float32), block[rows], columns[rows]
             at = some.ctypes.data, some.strides[0], own.ctypes.data, part.ctypes.data
-            kernels.subtract_panel(4, count, len(some), *at, wide, wide)
+            kernels.subtract_real_product(count, len(some), *at, wide, wide)
             total -= part
         return total
 
@@ -173,7 +173,7 @@ def _subtract_rough(block: Columns, known: NDArray[np.float32], columns: NDArray
         for rows in pieces:
             some, own = block[rows], columns[rows]
             at = some.ctypes.data, some.strides[0], factors.ctypes.data, own.ctypes.data
-            kernels.subtract_panel_transposed(4, block.shape[1], len(some), *at, wide, wide)
+            kernels.subtract_real_transposed(block.shape[1], len(some), *at, wide, wide)
 
     in_threads(work, _shared(len(columns), _LONG))
 
@@ -182,7 +182,7 @@ def _kernels_for(block: Columns, columns: NDArray[np.float32]) -> Any:
     """Kernels that are faster than BLAS on so few columns, whole vectors of them side by side; None for others."""
     few = columns.shape[1] <= _FEW and columns.shape[1] % _VECTOR == 0 and columns.flags.c_contiguous
     by_rows = block.dtype == np.float32 and block.strides[1] == block.itemsize
-    return compiled("linear.multifrontal.panels") if few and by_rows else None
+    return compiled("linear.multifrontal.panels_real") if few and by_rows else None
 
 
 def in_vectors(columns: Columns) -> NDArray[np.float32]:

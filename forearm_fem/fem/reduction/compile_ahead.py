@@ -90,8 +90,7 @@ def compile_kernels(parts: Sequence[str] = PARTS) -> None:
     if factor is None:
         return
     chain = triu(diags_array([[4.0] * _UNKNOWNS, [-1.0] * (_UNKNOWNS - 1)], offsets=[0, 1]), format="csr")
-    starts, columns = chain.indptr.astype(np.int64), chain.indices.astype(np.int64)
-    upper, loads = csr_array((chain.data, columns, starts), shape=chain.shape), np.ones((_UNKNOWNS, _LOADS))
+    upper, loads = csr_array(chain), np.ones((_UNKNOWNS, _LOADS))
     if "products" in parts:
         _project(upper, loads)
     for part, number in (("factors", float), ("complex factors", complex)):  # the latter for ends held otherwise
@@ -104,12 +103,14 @@ def compile_kernels(parts: Sequence[str] = PARTS) -> None:
 def _project(upper: csr_array, loads: FloatArray) -> None:
     matrices, weights, turning = SymmetricMatrices.from_uppers([upper]), np.ones((1, 1)), loads.astype(complex)
     matrices.add_products_in_place([turning.copy()], weights.astype(complex), turning)
-    matrices.real_sum(weights, [loads])
     single = loads.astype(np.float32)
+    for number in (float, complex):
+        matrices.upper_sum(np.ones(1, number), upper.indptr, upper.indices)
+    for columns in (loads, single):
+        matrices.real_sum(weights, [columns])
     matrices.products(single)(0, slice(0, _UNKNOWNS))
-    for block in (single, single[:, :-1]):  # a basis has whole blocks and parts of some
-        basis = Basis().with_block(block)
-        basis.subtract_in_place(loads.copy(), basis.inner(loads))
+    basis = Basis().with_block(single)
+    basis.subtract_in_place(loads.copy(), basis.inner(loads))
 
 
 if __name__ == "__main__":

@@ -151,7 +151,6 @@ class Expander:
         self._space = None
         if (stored := self._store.get(frequency)) is not None:
             return stored
-        self.model.operator.forget_products()  # complex factors need the room first; made again in a second or two
         solution = self._ready(frequency).at(frequency)
         error = self._ready(frequency).solve_error(solution)
         return Expansion(frequency, (solution.values,), solution.residual, error)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...typing import FloatArray
 from ..assembly.coefficients import rate_weights
-from ..kernels.compiled import one_blas_thread
+from ..kernels.compiled import give_back, one_blas_thread
 from ..linear.direct import ENOUGH, DirectSolver
 from .affine import compressible
 from .basis import Basis, Columns, in_vectors, inverse_or_zero
@@ -137,6 +137,7 @@ class RateSpace:
         if self._start is None:
             solution = self._solver.about_rate(self._weights[0], self._forces)
             self._start, self.residual = solution.values, solution.residual
+            give_back()  # what factorisation and matrices needed: a third of all that is kept
         return self._start
 
     @property
@@ -150,19 +151,18 @@ class RateSpace:
         """True where columns are worked with in double precision: all, or the first that all others come from."""
         return self.derivatives <= _REFINED or self._number is not np.float32
 
-    def _rough_combination(self, known: FloatArray) -> FloatArray:
-        missing = -known.shape[1] % 16
-        found = self._basis.rough_combination(np.pad(known, ((0, 0), (0, missing))))
-        return found[:, : known.shape[1]].astype(float)
-
     def _derivative(self) -> FloatArray:
         """The next derivative (n, last) of the solutions that the last pairs stand for."""
         latest, one, two = self._pairs.last(self._last), self._weights[1], self._weights[2]
-        known = np.hstack([latest.upper, 2 * latest.upper + latest.lower])
-        both = self._basis.combination(known) if self._careful else self._rough_combination(known)
+        known = latest.upper, 2 * latest.upper + latest.lower
+        both: Columns
+        if self._careful:
+            both = self._basis.combination(np.hstack(known))
+        else:  # whole vectors, each row of them in one line of the cache
+            both = self._basis.rough_combination(np.hstack([in_vectors(part) for part in known]))
         # A_1 x_(k-1) + A_2 x_(k-2) so that masses, whose part of A_1 is twice that of A_2, take one product and not two
         matrices, solve = self._solver.model.operator.matrices, self._solver.factor.solve
-        right = -matrices.real_sum(np.array([one - 2 * two, two]), (both[:, : self._last], both[:, self._last :]))
+        right = matrices.real_sum(np.array([2 * two - one, -two]), np.hsplit(both, 2))
         x = solve(right)
         # the first derivatives are refined; all where much is asked or factors are poor, none in double precision
         early = self.derivatives < _REFINED or self._solver.tolerance < ENOUGH
@@ -171,7 +171,7 @@ class RateSpace:
             x = x + change
             n_u = self._solver.model.operator.n_displacements
             self._correction = float(np.linalg.norm(change[:n_u]) / np.linalg.norm(x[:n_u]))
-        return x
+        return np.asarray(x[:, : self._last])
 
     def _extended(self, x: FloatArray) -> FloatArray:
         """Columns that the derivative ``x`` (n, b) of the last pairs adds to the space; its pairs are noted."""
@@ -192,7 +192,7 @@ class RateSpace:
     def _taken_apart(self, x: FloatArray, lengths: FloatArray, n_u: int) -> tuple[FloatArray, FloatArray]:
         """What the space lacks of columns ``x`` (n, b), and their coordinates (r, b) in it."""
         coordinates, width = np.zeros((len(self._pairs.upper), x.shape[1])), x.shape[1]
-        rest, rough = x.copy(), None if self._careful else in_vectors(x)
+        rest, rough = (x.copy(), None) if self._careful else (x, in_vectors(x))
         for _ in range(2):
             if rough is None:
                 known = self._basis.inner(rest[:n_u])

@@ -13,11 +13,12 @@ from ...scenario.sweep import ReducedSolve, SolverOptions
 from ...store.shelf import Shelf
 from ...typing import ComplexArray, FloatArray
 from ..assembly.model import ForearmModel
+from ..kernels.compiled import give_back
 from ..linear.direct import ENOUGH, make_solver
 from .affine import AffineReduced, Modes
 from .certificate import Certificate, certified, error_at, largest_change
 from .expansion import Expander, ReducedSweepState, Snapshots, expansion_frequencies, starts_from_rate
-from .widening import widened
+from .widening import lacking_directions, widened
 
 _SHARE = 1e-3  # of what is asked of the reduced model: the residual that its solves are refined to
 _UNCERTIFIED = 1e-5  # what the second stage may cost where nothing else is known
@@ -129,8 +130,10 @@ def reduced_sweep(
             made = work.about_frequencies(expansion_frequencies(frequency, options), progress)
         if tolerance is not None:
             made = _certified(work, made, frequency, options, tolerance, progress)
-        wider = widened(model, made.reduced, frequency, work.inverse(frequency)) if widen else None
+        give_back()  # what certificates worked with
+        lacking = lacking_directions(model, made.reduced, frequency, work.inverse(frequency)) if widen else None
         work.release()
+        wider = None if lacking is None else widened(model, made.reduced, lacking)
         result = replace(_swept(model, made, frequency, tolerance), solver=work.solver, wider=wider)
     except np.linalg.LinAlgError as problem:
         raise SolverError(

@@ -23,24 +23,31 @@ _AT_ONCE = 32  # columns that are worked with together
 _DROP = 3e-2  # of a direction's length: weaker ones are known
 
 
-def widened(
+def lacking_directions(
     model: ForearmModel, reduced: AffineReduced, frequency: FloatArray, solve: Callable[[FloatArray], FloatArray]
-) -> AffineReduced:
-    """``reduced``, and behind its columns what its residuals r for other moduli ask for: P^-1 r.
+) -> NDArray[np.float32]:
+    """Columns (n, k) that ``reduced`` lacks for other moduli, as its residuals r there tell: P^-1 r.
 
-    ``solve`` gives P^-1 b for real b (n, k), P the stiffness at a real rate. For other moduli the wider model errs a
-    half to a tenth as much as the first, and the change between the two is the measure of that. Forces on contacts
-    alone are looked at: an error is that of two states multiplied.
+    ``solve`` gives P^-1 b for real b (n, k), P the stiffness at a real rate. Forces on contacts alone are looked at: an
+    error is that of two states multiplied.
     """
     rest = _residuals(model, reduced, frequency)
     values, vectors = np.linalg.eigh((rest.T @ rest).astype(float))
     count = min(int(np.ceil(_KEPT * rest.shape[1])), int(np.sum(values > 0)))
-    strong = vectors[:, len(values) - count :].astype(np.float32)
-    found = rest @ strong
+    found = rest @ vectors[:, len(values) - count :].astype(np.float32)
     del rest  # a third of the basis, and solves need room of their own
     for some in (slice(k, k + _AT_ONCE) for k in range(0, count, _AT_ONCE)):
         found[:, some] = solve(found[:, some].astype(float))
-    added = rough_extension(reduced.basis, [found], model.operator.n_displacements, drop=_DROP)
+    return found
+
+
+def widened(model: ForearmModel, reduced: AffineReduced, lacking: NDArray[np.float32]) -> AffineReduced:
+    """``reduced``, and behind its columns the ``lacking`` ones.
+
+    For other moduli the wider model errs a half to a tenth as much as the first, and the change between the two is the
+    measure of that.
+    """
+    added = rough_extension(reduced.basis, [lacking], model.operator.n_displacements, drop=_DROP)
     return with_last_columns(reduced, model, np.hstack(added))
 
 

@@ -12,7 +12,7 @@ from numba.extending import get_cython_function_address
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_info
 
-from ...kernels.jit import kernel
+from ...kernels.jit import inner_kernel
 
 _PRODUCTS = "scipy_cgemm3m_", "cgemm3m_"
 
@@ -77,7 +77,7 @@ def arguments(number: type[np.complex64] | type[np.float32]) -> Arguments:
     )
 
 
-@kernel
+@inner_kernel
 def _gemm(
     call: Any, size: Any, a: int, lda: int, b: int, ldb: int, c: int, ldc: int, transposed: Any, scaled: Any
 ) -> None:
@@ -97,13 +97,13 @@ def _gemm(
         _product(first, second, m, n, k, alpha, a, d, b, e, beta, c, f)
 
 
-@kernel
+@inner_kernel
 def set_product(call: Any, size: Any, a: int, lda: int, b: int, ldb: int, c: int, ldc: int) -> None:
     """C = A B: ``size`` (rows of C, columns of C, columns of A), addresses and leading dimensions."""
     _gemm(call, size, a, lda, b, ldb, c, ldc, NEITHER, (0, 1))
 
 
-@kernel
+@inner_kernel
 def subtract_product(
     call: Any, size: Any, a: int, lda: int, b: int, ldb: int, c: int, ldc: int, transposed: Any
 ) -> None:
@@ -111,7 +111,7 @@ def subtract_product(
     _gemm(call, size, a, lda, b, ldb, c, ldc, transposed, (2, 0))
 
 
-@kernel
+@inner_kernel
 def invert_block(call: Any, size: int) -> bool:
     """Invert the dense matrix (size, size) in ``call.block`` where it lies; False where it is singular."""
     integers = call.integers

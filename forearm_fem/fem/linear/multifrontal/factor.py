@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 from ....errors import SolverError
 from ....typing import ComplexArray, FloatArray, IntArray
 from ...kernels.compiled import give_back, in_threads, thread_count
-from ...kernels.jit import kernel
+from ...kernels.jit import inner_kernel, kernel
 from .blas import BLOCK, arguments
 from .fronts import (
     FrontStore,
@@ -75,7 +75,7 @@ def forward(
         forward_front(s, part.number, fronts, store, owner, x, others, local, some)
 
 
-@kernel
+@inner_kernel
 def forward_front(
     s: int, number: int, fronts: Fronts, store: FrontStore, owner: NDArray[np.int32], x: NDArray[Any],
     others: NDArray[Any], local: Local, some: tuple[int, int],
@@ -302,7 +302,7 @@ class MultifrontalFactor:
         count = right.shape[1]
         return np.asarray(pivot_products(fronts, store, x, rooms[-1][1].block)[:count, :count])
 
-    def harden(self) -> bool:
+    def harden(self, data: ComplexArray | FloatArray) -> bool:
         """See :class:`..factor.Factor`; this one cannot."""
         return False
 

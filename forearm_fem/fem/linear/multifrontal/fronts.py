@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....typing import FloatArray, IntArray
-from ...kernels.jit import kernel
+from ...kernels.jit import inner_kernel, kernel
 from .blas import BLOCK, SECOND, Arguments, invert_block, set_product, subtract_product
 from .symbolic import Entries, Fronts, Symbolic
 
@@ -132,7 +132,7 @@ def stacked(supernodes: IntArray, fronts: Fronts, remainder: IntArray, begin: in
     return end
 
 
-@kernel
+@inner_kernel
 def lowest_child(s: int, fronts: Fronts, remainder: IntArray, begin: int, free: int) -> int:
     """The lowest place of a child's remainder in this stretch of the stack, ``free`` where none is in it."""
     lowest, c = free, fronts.child[s]
@@ -204,7 +204,7 @@ def factorise_part(
     return singular
 
 
-@kernel
+@inner_kernel
 def factorise_front(
     s: int, begin: int, free: int, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: FrontStore,
     remainder: IntArray, stack: NDArray[Any], scratch: Scratch,
@@ -229,7 +229,7 @@ def factorise_front(
     return singular, lowest + m * m
 
 
-@kernel
+@inner_kernel
 def _placed(s: int, fronts: Fronts, place: NDArray[np.int32]) -> None:
     k = 0
     for i in range(fronts.first[s], fronts.first[s + 1]):
@@ -240,7 +240,7 @@ def _placed(s: int, fronts: Fronts, place: NDArray[np.int32]) -> None:
         k += 1
 
 
-@kernel
+@inner_kernel
 def _start_panel(
     s: int, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: FrontStore, place: NDArray[np.int32]
 ) -> None:
@@ -255,7 +255,7 @@ def _start_panel(
         column += size
 
 
-@kernel
+@inner_kernel
 def _add_child(
     s: int, child: int, source: int, target: int, fronts: Fronts, store: FrontStore, stack: NDArray[Any],
     place: NDArray[np.int32],
@@ -274,7 +274,7 @@ def _add_child(
         source += len(rows)
 
 
-@kernel
+@inner_kernel
 def _moved(stack: NDArray[Any], source: int, target: int, m: int) -> None:
     """Move a lower triangle down the stack."""
     if source == target:
@@ -284,7 +284,7 @@ def _moved(stack: NDArray[Any], source: int, target: int, m: int) -> None:
             stack[target + r] = stack[source + r]
 
 
-@kernel
+@inner_kernel
 def _eliminate(k: int, m: int, store: FrontStore, s: int, remainder: int, scratch: Scratch) -> int:
     """Eliminate a front's first k unknowns; its panel becomes L, with D's inverted blocks beside it.
 
@@ -314,7 +314,7 @@ def _eliminate(k: int, m: int, store: FrontStore, s: int, remainder: int, scratc
     return singular
 
 
-@kernel
+@inner_kernel
 def _subtract_lower(
     call: Arguments, rows: int, columns: int, inner: int, a: int, lda: int, b: int, ldb: int, c: int, ldc: int
 ) -> None:
@@ -332,7 +332,7 @@ def _subtract_lower(
         )
 
 
-@kernel
+@inner_kernel
 def _block(store: FrontStore, corner: int, size: int, width: int, inverse: int, call: Arguments) -> bool:
     """Invert the diagonal block at ``corner`` of the panels into ``call.block`` and the store."""
     for c in range(width):
@@ -346,7 +346,7 @@ def _block(store: FrontStore, corner: int, size: int, width: int, inverse: int, 
     return regular
 
 
-@kernel
+@inner_kernel
 def _kept(
     panels: NDArray[Any], source: int, low: int, size: int, width: int, target: int, k: int, m: int, j: int,
     scratch: Scratch,

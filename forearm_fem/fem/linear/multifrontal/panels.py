@@ -12,7 +12,7 @@ from typing import Any
 import llvmlite.binding as llvm
 
 from ...kernels import simd as _lanes
-from ...kernels.jit import kernel
+from ...kernels.jit import inner_kernel, kernel
 from .blas import REAL
 from .panels_real import subtract_real_product, subtract_real_transposed
 
@@ -23,7 +23,7 @@ _TILE = 256  # rows: their right-hand sides and those of eight columns stay in t
 _GATHERED = 8 if llvm.get_host_cpu_features().get("avx512f", False) else 2  # columns whose sums registers can hold
 
 
-@kernel
+@inner_kernel
 def subtract_panel(
     bytes_: int, rows: int, columns: int, panel: int, leading: int, own: int, below: int, row: int, width: int
 ) -> None:
@@ -40,7 +40,7 @@ def subtract_panel(
                 _subtract_one(count, part + leading * k, source + row * k, target, row)
 
 
-@kernel
+@inner_kernel
 def subtract_panel_transposed(
     bytes_: int, rows: int, columns: int, panel: int, leading: int, below: int, own: int, row: int, width: int
 ) -> None:
@@ -60,7 +60,7 @@ def subtract_panel_transposed(
                 _gather_one(count, part + leading * k, source, target + row * k, row)
 
 
-@kernel
+@inner_kernel
 def _subtract_eight(rows: int, panel: int, leading: int, own: int, below: int, row: int) -> None:
     """Eight columns of a panel and eight right-hand sides; what real and imaginary parts give is kept apart."""
     none = lanes.no_floats()
@@ -90,7 +90,7 @@ def _subtract_eight(rows: int, panel: int, leading: int, own: int, below: int, r
         panel += BYTES
 
 
-@kernel
+@inner_kernel
 def _subtract_one(rows: int, panel: int, own: int, below: int, row: int) -> None:
     none = lanes.no_floats()
     a = lanes.minus(none, lanes.floats_at(own))
@@ -152,7 +152,7 @@ def gather_two(rows: int, panel: int, leading: int, below: int, own: int, row: i
     _subtract_from(own + row, b, t)
 
 
-@kernel
+@inner_kernel
 def _gather_one(rows: int, panel: int, below: int, own: int, row: int) -> None:
     a, s = lanes.no_floats(), lanes.no_floats()
     for _ in range(rows):
@@ -163,7 +163,7 @@ def _gather_one(rows: int, panel: int, below: int, own: int, row: int) -> None:
     _subtract_from(own, a, s)
 
 
-@kernel
+@inner_kernel
 def _subtract_from(place: int, real: Any, imaginary: Any) -> None:
     """Subtract what real and imaginary parts of a panel gave."""
     lanes.store(place, lanes.minus(lanes.floats_at(place), lanes.plus_turned(real, imaginary)))

@@ -11,7 +11,7 @@ from typing import Any
 import llvmlite.binding as llvm
 
 from ...kernels import simd as _lanes
-from ...kernels.jit import kernel
+from ...kernels.jit import inner_kernel, kernel
 from .blas import REAL
 
 lanes: Any = _lanes  # intrinsics, which type checkers do not follow
@@ -48,7 +48,7 @@ def subtract_real_transposed(
             _gather(count, columns, part, leading, below + row * r + v, own + v, row, lanes.no_eight_floats())
 
 
-@kernel
+@inner_kernel
 def _subtract(rows: int, columns: int, panel: int, leading: int, own: int, below: int, row: int, none: Any) -> None:
     """The product for as many right-hand sides as there are zeros in the vector ``none``."""
     for k in range(0, columns - 7, 8):
@@ -57,7 +57,7 @@ def _subtract(rows: int, columns: int, panel: int, leading: int, own: int, below
         _subtract_one(rows, panel + leading * k, own + row * k, below, row, none)
 
 
-@kernel
+@inner_kernel
 def _gather(rows: int, columns: int, panel: int, leading: int, below: int, own: int, row: int, none: Any) -> None:
     for k in range(0, columns - 7, 8):
         _gather_eight(rows, panel + leading * k, leading, below, own + row * k, row, none)
@@ -65,12 +65,12 @@ def _gather(rows: int, columns: int, panel: int, leading: int, below: int, own: 
         _gather_one(rows, panel + leading * k, below, own + row * k, row, none)
 
 
-@kernel
+@inner_kernel
 def _negative(address: int, none: Any) -> Any:
     return lanes.minus(none, lanes.vector_at(address, none))
 
 
-@kernel
+@inner_kernel
 def _subtract_eight(rows: int, panel: int, leading: int, own: int, below: int, row: int, none: Any) -> None:
     a, b, c = _negative(own, none), _negative(own + row, none), _negative(own + 2 * row, none)
     d, e, f = _negative(own + 3 * row, none), _negative(own + 4 * row, none), _negative(own + 5 * row, none)
@@ -97,7 +97,7 @@ def _subtract_eight(rows: int, panel: int, leading: int, own: int, below: int, r
         panel += REAL
 
 
-@kernel
+@inner_kernel
 def _subtract_one(rows: int, panel: int, own: int, below: int, row: int, none: Any) -> None:
     a = _negative(own, none)
     for _ in range(rows):
@@ -106,7 +106,7 @@ def _subtract_one(rows: int, panel: int, own: int, below: int, row: int, none: A
         panel += REAL
 
 
-@kernel
+@inner_kernel
 def _gather_eight(rows: int, panel: int, leading: int, below: int, own: int, row: int, none: Any) -> None:
     a, b, c, d, e, f, g, h = none, none, none, none, none, none, none, none
     for _ in range(rows):
@@ -138,7 +138,7 @@ def _gather_eight(rows: int, panel: int, leading: int, below: int, own: int, row
     _subtract_from(own + 7 * row, h)
 
 
-@kernel
+@inner_kernel
 def _gather_one(rows: int, panel: int, below: int, own: int, row: int, none: Any) -> None:
     a = none
     for _ in range(rows):
@@ -148,6 +148,6 @@ def _gather_one(rows: int, panel: int, below: int, own: int, row: int, none: Any
     _subtract_from(own, a)
 
 
-@kernel
+@inner_kernel
 def _subtract_from(place: int, sums: Any) -> None:
     lanes.store(place, lanes.minus(lanes.vector_at(place, sums), sums))

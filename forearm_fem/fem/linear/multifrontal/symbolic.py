@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from ....typing import BoolArray, FloatArray, IntArray
-from ...kernels.jit import kernel
+from ...kernels.jit import inner_kernel, kernel
+from ...kernels.scatter import add_up
 
 # Elimination tree of a symmetric pattern and the number of entries in each column of its factor.
 # Davis, Direct Methods for Sparse Linear Systems (2006), chapter 4. Patterns come as the upper triangle in CSR in the
@@ -34,7 +35,7 @@ def lower_entries(indptr: IntArray, indices: IntArray, rank: IntArray) -> Entrie
     for r in range(n):
         for p in range(indptr[r], indptr[r + 1]):
             start[min(rank[r], rank[indices[p]]) + 1] += 1
-    start = np.cumsum(start)
+    add_up(start)
     fill = start[:-1].copy()
     row, source = np.empty(start[n], np.int32), np.empty(start[n], np.int32)
     for r in range(n):
@@ -53,7 +54,7 @@ def transposed_rows(entries: Entries) -> tuple[IntArray, IntArray]:
     start = np.zeros(n + 1, np.int64)
     for i in entries.row:
         start[i + 1] += 1
-    start = np.cumsum(start)
+    add_up(start)
     fill = start[:-1].copy()
     column = np.empty(len(entries.row), np.int32)
     for j in range(n):
@@ -148,7 +149,7 @@ def column_counts(entries: Entries, parent: IntArray) -> IntArray:
     return count
 
 
-@kernel
+@inner_kernel
 def _common(node: int, ancestor: IntArray) -> int:
     """The last ancestor known of ``node``; paths are shortened on the way."""
     root = node
@@ -214,7 +215,7 @@ def symbolic_factor(upper: csr_array, order: IntArray) -> Symbolic:
 
     The order kept is a postorder of the elimination tree, which leaves the same entries in the factor.
     """
-    indptr, indices = upper.indptr.astype(np.int64), upper.indices.astype(np.int64)
+    indptr, indices = upper.indptr.astype(np.int32, copy=False), upper.indices.astype(np.int32, copy=False)
     parent = elimination_tree(*transposed_rows(lower_entries(indptr, indices, np.argsort(order))))
     post = postorder(parent)
     above, rank = parent[post], np.argsort(post)
@@ -241,7 +242,7 @@ def _fundamental(parent: IntArray, count: IntArray) -> tuple[IntArray, IntArray]
     return first, np.where(above >= 0, chain[above], -1)
 
 
-@kernel
+@inner_kernel
 def _worth_merging(columns: int, new: float, zeros: float, size: float, limits: IntArray, shares: FloatArray) -> bool:
     if new == 0 or columns <= limits[0]:
         return True
@@ -295,12 +296,15 @@ def rows_below(first: IntArray, below: IntArray, entries: Entries) -> tuple[NDAr
             q = _noted(rows[below[c] : below[c + 1]], end, s, mark, rows, q)
             c = following[c]
         if q > below[s]:
-            p = owner[rows[below[s] : q].min()]
+            least = rows[below[s]]
+            for k in range(below[s] + 1, q):
+                least = min(least, rows[k])
+            p = owner[least]
             parent[s], following[s], child[p] = p, child[p], s
     return rows, parent
 
 
-@kernel
+@inner_kernel
 def _noted(some: NDArray[np.int32], end: int, s: int, mark: IntArray, rows: NDArray[np.int32], q: int) -> int:
     """Put what is new among ``some`` rows from ``end`` on at ``rows[q]`` and after; the next free place."""
     for i in some:
