@@ -42,7 +42,7 @@ def test_the_estimate_is_near_the_true_error_from_rough_models_to_good_ones(mode
     """
     solver = make_solver(model, OPTIONS, float(BAND[-1]))
     bound, truth = ResidualBound(solver, expansion_rate(BAND)), direct_sweep(model, BINS, OPTIONS).values
-    space, made = spaces(model, solver, (12, 15, 18, 21, 25))
+    space, made = spaces(model, solver, (11, 13, 15, 17, 20, 25))
     ratios = []
     for reduced in made.values():
         for f, exact in zip(BINS, truth, strict=True):

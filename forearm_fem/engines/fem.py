@@ -112,7 +112,7 @@ REDUCTION = 1e-4  # e(f) asked of a reduced model where no accuracy is given
 TRUNCATION_PROBES, FREED_PROBES = 4, 80  # by direct solves, by the reduced model
 _LARGE, _SMALL = 100_000, 30_000  # unknowns of a mesh, and of its second one, from which complex kernels pay
 _OTHER_ENDS = {"absorb": "fixed", "fixed": "free", "free": "fixed"}
-_FEWER_OF_RATE = 25  # not certified: e_band 0.2 % of the forearm's points, 0.6 % at a bin
+_FEWER_OF_RATE = 24  # not certified: e_band 0.1 % of the forearm's points, 0.2 % at a bin
 _FEWER = {"expansions": 3, "derivatives": 8, "point_derivatives": 1}  # the same where moduli are not Kelvin-Voigt
 
 

@@ -127,7 +127,7 @@ def real_product(some: FloatArray, others: ComplexArray) -> ComplexArray:
 _MAKING = 5  # raise when the same question would give another part
 _DROP, _ORDERS = 1e-2, 30  # of directions of the space, and derivatives at most
 _SIDEWAYS_DROP = 3e-2  # of those that loads along the skin add: what discs held sideways take is a correction
-_FASTER = 2.5  # than the sweep's rate: high frequencies are what a space cut at _DROP leaves out
+_FASTER = 2.5  # than the band's middle: high frequencies are what a space cut at _DROP leaves out
 _AT_ONCE = 48  # loads
 _WITNESSES = 24  # loads of the direct solve that the reduced model is compared with
 _CHECKED = (0.0, 0.1, 0.5, 0.75, 1.0)  # of the band: far fields fall with frequency, so that its end is the hardest
@@ -238,7 +238,7 @@ def _spanned(
     if facts["done"] < total:
         began = time.monotonic() - facts["seconds_loads"]
         solver = make_solver(bare, meshed.solver, float(frequency[-1]))
-        rate = _FASTER * expansion_rate(frequency)
+        rate = _FASTER * expansion_rate(frequency, upwards=0.5)
         space = LoadSpace(solver, rate, derivatives=_ORDERS, basis=reduced.basis)
         done, solves = 0, facts["solves"]
         for chosen, drop in loaded.batches:

@@ -40,6 +40,7 @@ from .rate_space import Chunk, Pairs, RateSpace
 _log = logging.getLogger("forearm_fem.fem")
 _QUIET, _SPREAD = 30.0, -0.2  # [Hz] flesh on bone hardly resonates below; expansions are even in f^-0.2 above it
 _LOWEST = 20.0  # [Hz] below, what a rate further up spans is enough
+_UPWARDS = 0.57  # 0.5, the middle, takes five derivatives more
 _AT_ONCE = 5  # derivatives about a rate between two looks at what the last of them changed
 _AT_LEAST, _SLOW = 20, 60  # derivatives about a rate before the first look, and before resonances are called sharp
 _SHARP, _SEVERAL = 0.03, 3  # loss factor below which a mode may pass unseen between probes; one or two do not
@@ -226,7 +227,8 @@ class Expander:
         tell(progress, "ordering of unknowns", 0, 1)
         solver = self._ready(float(frequency[-1]))
         tell(progress, "ordering of unknowns", 1, 1)
-        self._space = space = RateSpace(solver, self.model.functionals, rate, stored)
+        refined = {} if tolerance is not None else {"refined": 1}  # which tells whether factors are good at all
+        self._space = space = RateSpace(solver, self.model.functionals, rate, stored, **refined)
         tell(progress, "reduced model", 0, most)
         reduced, derivatives = AffineReduced.of(self.model), 0
         probes, worst = probe_frequencies(frequency, ())[::2], np.zeros(0)
@@ -334,13 +336,14 @@ def starts_from_rate(model: ForearmModel, options: ReducedSolve) -> bool:
     return able and options.start != "frequencies"
 
 
-def expansion_rate(frequency: FloatArray) -> float:
-    """Rate [1/s] from which a band is spanned with the fewest derivatives: 100 Hz for 10-500 Hz.
+def expansion_rate(frequency: FloatArray, upwards: float = _UPWARDS) -> float:
+    """Rate [1/s] from which a band is spanned with the fewest derivatives: 126 Hz for 10-500 Hz.
 
-    The geometric mean of the band from 20 Hz on where it goes well beyond (decision 0005).
+    A little above the geometric mean of the band, from 20 Hz on where it goes well beyond (decision 0005); ``upwards``
+    is its place between the ends on a scale of logarithms.
     """
     low = max(frequency[0], min(_LOWEST, frequency[-1] / 12))
-    return float(2 * np.pi * np.sqrt(low * frequency[-1]))
+    return float(2 * np.pi * low ** (1 - upwards) * frequency[-1] ** upwards)
 
 
 def expansion_frequencies(frequency: FloatArray, options: ReducedSolve) -> tuple[float, ...]:

@@ -80,7 +80,7 @@ class Growing:
 
     def start(self, frequency: FloatArray, derivatives: int) -> None:
         """Derivatives about a rate, where moduli that are no polynomials of it are replaced by Kelvin-Voigt ones."""
-        rate = expansion_rate(frequency)
+        rate = expansion_rate(frequency, upwards=0.5)  # some draws are softer
         own = [kelvin_voigt_like(t.coefficient, rate) for t in self._model.operator.terms]
         chunk = RateSpace(self._of(tuple(own)), self._model.functionals, rate).more(derivatives)
         half = chunk.columns.shape[1] // 2

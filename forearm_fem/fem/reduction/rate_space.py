@@ -95,12 +95,15 @@ class Chunk:
 class RateSpace:
     """Grows the space of ``forces`` (n, b) about ``rate`` [1/s], some derivatives at a time.
 
-    ``chunks`` of an interrupted sweep are continued. Moduli must be Kelvin-Voigt. Columns are orthonormal to 1e-4, as
-    far as single-precision solves need it.
+    ``chunks`` of an interrupted sweep are continued. So many first derivatives are ``refined``. Moduli must be
+    Kelvin-Voigt. Columns are orthonormal to 1e-4, as far as single-precision solves need it.
     """
 
-    def __init__(self, solver: DirectSolver, forces: FloatArray, rate: float, chunks: tuple[Chunk, ...] = ()) -> None:
-        self._solver, self._forces = solver, forces
+    def __init__(
+        self, solver: DirectSolver, forces: FloatArray, rate: float, chunks: tuple[Chunk, ...] = (),
+        refined: int = _REFINED,
+    ) -> None:  # fmt: skip
+        self._solver, self._forces, self._refined = solver, forces, refined
         operator = solver.model.operator
         self._weights = rate_weights([t.coefficient for t in operator.terms], rate)
         self._nothing = _NOTHING if compressible(operator) else _NOTHING_FREE
@@ -149,7 +152,7 @@ class RateSpace:
     @property
     def _careful(self) -> bool:
         """True where columns are worked with in double precision: all, or the first that all others come from."""
-        return self.derivatives <= _REFINED or self._number is not np.float32
+        return self.derivatives <= self._refined or self._number is not np.float32
 
     def _derivative(self) -> FloatArray:
         """The next derivative (n, last) of the solutions that the last pairs stand for."""
@@ -165,7 +168,7 @@ class RateSpace:
         right = matrices.real_sum(np.array([2 * two - one, -two]), np.hsplit(both, 2))
         x = solve(right)
         # the first derivatives are refined; all where much is asked or factors are poor, none in double precision
-        early = self.derivatives < _REFINED or self._solver.tolerance < ENOUGH
+        early = self.derivatives < self._refined or self._solver.tolerance < ENOUGH
         if self._correction > _CAREFUL or (early and self._correction > _EXACT):
             change = solve(right - matrices.real_sum(self._weights[:1], (x,)))
             x = x + change
