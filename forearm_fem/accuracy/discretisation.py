@@ -16,7 +16,7 @@ from .estimates import raised_to_row_column_mean
 # Size ratio of the second mesh, where it can be made. One twice as coarse carries no waves where the first one just
 # does: between 2 and 57 times the error was its change under rigid cones, that of this one 2 to 6 times.
 COARSER = math.sqrt(2)
-SECOND_ORDER, THIRD_ORDER = 2.1, 3.0  # of convergence, by the elements around the ports
+SECOND_ORDER, THIRD_ORDER = 2.1, 3.2  # of convergence, by the elements around the ports
 LOST = 0.2  # change of G beyond which the second mesh carries no waves, and the error grows as its square root
 _NEIGHBOURHOOD = 1.25  # e(f) listens to frequencies up to this ratio away (a third of an octave)
 
