@@ -75,7 +75,7 @@ def started(monkeypatch):
         one.cache_clear()
 
 
-@pytest.mark.slow  # imports and solves in a process of its own, 40 s where no kernel is kept
+@pytest.mark.slow  # compiles all, and solves, in a process of its own: 30 s
 def test_a_run_compiles_nothing_that_the_process_beside_left_out(tmp_path):
     # Small, but above the 3,000 unknowns from which the multifrontal solver is taken, on the coarser mesh, too.
     small = [
@@ -86,7 +86,7 @@ def test_a_run_compiles_nothing_that_the_process_beside_left_out(tmp_path):
     scene = str(Path(__file__).parents[1] / "scenarios" / "quick.toml")
     done = subprocess.run(
         [sys.executable, "-c", AFTER_THE_KERNELS, scene, *small], capture_output=True, text=True,
-        env={**os.environ, "FOREARM_FEM_CACHE": str(tmp_path)},
+        env={**os.environ, "FOREARM_FEM_CACHE": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "kernels")},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     missing = [line for line in done.stdout.splitlines() if line.split()[0] not in LEFT_TO_THE_RUN]

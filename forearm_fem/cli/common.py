@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import gc
 import glob
 import io
 import shlex
@@ -149,6 +150,7 @@ def job(folder: Path | None = None, *rooms: str, sums: bool = True) -> Iterator[
     ``rooms`` that take seconds to load on a slow or busy machine are loaded first, which the bar says. What fails is
     one sentence, and Ctrl-C says that the same command goes on (:func:`forearm_fem.cli.app.main`).
     """
+    gc.freeze()  # else what was imported is gone through again and again
     with ExitStack() as held:
         if folder is not None:
             from ..store.folder import locked

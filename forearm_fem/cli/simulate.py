@@ -67,6 +67,10 @@ def run(
         _print_forecast(asked, expected)
         print_notes(scene_notes(asked))
         return
+    if asked.engine == "fem" and library is None:  # beside the other imports
+        from ..fem.reduction.compile_ahead import start_compiling
+
+        start_compiling()
     from ..questions.run import run_all
 
     made = run_of(asked, scenario, out, run_all, overrides, library)

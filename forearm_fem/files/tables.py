@@ -13,7 +13,6 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
-import pandas as pd
 
 from ..errors import AccuracyWarning, DataError, ForearmError
 from ..ports import Port
@@ -65,6 +64,8 @@ def write_csv(path: str | Path, transfer: TransferMatrix) -> None:
     and provenance are not carried: netCDF has them.
     DataError for a name of several lines, which could not be read back.
     """
+    import pandas as pd
+
     if broken := [p.name for p in (*transfer.outputs, *transfer.inputs) if len(f"{p.name}.".splitlines()) > 1]:
         raise DataError(f"{path}: the name {broken[0]!r} has a line break, and a line of CSV has none; rename it")
     head = {

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from ..errors import DataError
 from ..metrics.strength import GROUPS, seconds_of
@@ -210,6 +209,8 @@ def strength_rows(
 
 def write_signal_strength_csv(path: str | Path, rows: Iterable[StrengthRow]) -> None:
     """Write ``rows`` with every digit of S, so that reading gives the same floats."""
+    import pandas as pd
+
     table = pd.DataFrame(rows, columns=list(_HEADER))
     write_text(path, str(table.to_csv(index=False, lineterminator="\n", na_rep="nan")))
 

@@ -161,13 +161,14 @@ class Pattern(NamedTuple):
 def pattern(rows: IntArray, columns: IntArray, n_rows: int, n_columns: int) -> Pattern:
     """Pairs of ``rows`` (n_tet, nr) and ``columns`` (n_tet, nc) of the same element."""
     start, touching = _elements_of(rows, n_rows)
-    (n_tet, nr), nc = rows.shape, columns.shape[1]
+    n_tet, nr, nc = rows.shape[0], rows.shape[1], columns.shape[1]
     seen, where = np.full(n_columns, -1), np.empty(n_columns, np.int32)
     indptr = np.zeros(n_rows + 1, np.int64)
     for r in range(n_rows):
         count = 0
         for q in range(start[r], start[r + 1]):
-            for c in columns[touching[q] // nr]:
+            for b in range(nc):
+                c = columns[touching[q] // nr, b]
                 count += seen[c] != r
                 seen[c] = r
         indptr[r + 1] = indptr[r] + count
@@ -176,7 +177,8 @@ def pattern(rows: IntArray, columns: IntArray, n_rows: int, n_columns: int) -> P
     for r in range(n_rows):
         k = indptr[r]
         for q in range(start[r], start[r + 1]):
-            for c in columns[touching[q] // nr]:
+            for b in range(nc):
+                c = columns[touching[q] // nr, b]
                 if seen[c] != r:
                     seen[c] = r
                     indices[k] = c
@@ -194,15 +196,18 @@ def pattern(rows: IntArray, columns: IntArray, n_rows: int, n_columns: int) -> P
 @inner_kernel
 def _elements_of(rows: IntArray, n_rows: int) -> tuple[IntArray, IntArray]:
     """Starts, and element times nr plus number in it, of all that have each of the rows."""
-    flat = np.ascontiguousarray(rows).ravel()
+    n_tet, nr = rows.shape
     start = np.zeros(n_rows + 1, np.int64)
-    for r in flat:
-        start[r + 1] += 1
+    for t in range(n_tet):
+        for a in range(nr):
+            start[rows[t, a] + 1] += 1
     add_up(start)
-    touching, free = np.empty(len(flat), np.int64), start[:-1].copy()
-    for k, r in enumerate(flat):
-        touching[free[r]] = k
-        free[r] += 1
+    touching, free = np.empty(n_tet * nr, np.int64), start[:-1].copy()
+    for t in range(n_tet):
+        for a in range(nr):
+            r = rows[t, a]
+            touching[free[r]] = nr * t + a
+            free[r] += 1
     return start, touching
 
 

@@ -290,10 +290,10 @@ def rows_below(first: IntArray, below: IntArray, entries: Entries) -> tuple[NDAr
     parent, child, following = np.full(n, -1, np.int64), np.full(n, -1, np.int64), np.full(n, -1, np.int64)
     for s in range(n):
         end, q = first[s + 1], below[s]
-        q = _noted(entries.row[entries.start[first[s]] : entries.start[end]], end, s, mark, rows, q)
+        q = _noted(entries.row, entries.start[first[s]], entries.start[end], end, s, mark, rows, q)
         c = child[s]
         while c != -1:
-            q = _noted(rows[below[c] : below[c + 1]], end, s, mark, rows, q)
+            q = _noted(rows, below[c], below[c + 1], end, s, mark, rows, q)
             c = following[c]
         if q > below[s]:
             least = rows[below[s]]
@@ -305,9 +305,13 @@ def rows_below(first: IntArray, below: IntArray, entries: Entries) -> tuple[NDAr
 
 
 @inner_kernel
-def _noted(some: NDArray[np.int32], end: int, s: int, mark: IntArray, rows: NDArray[np.int32], q: int) -> int:
-    """Put what is new among ``some`` rows from ``end`` on at ``rows[q]`` and after; the next free place."""
-    for i in some:
+def _noted(
+    some: NDArray[np.int32], low: int, high: int, end: int, s: int, mark: IntArray, rows: NDArray[np.int32], q: int
+) -> int:
+    """Put what is new among the rows ``some[low:high]`` from ``end`` on at ``rows[q]`` and after; the next free
+    place."""
+    for p in range(low, high):
+        i = some[p]
         if i >= end and mark[i] != s:
             mark[i], rows[q] = s, i
             q += 1
