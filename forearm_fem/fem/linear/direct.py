@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,12 +40,14 @@ class DirectSolver:
         right-hand sides."""
         omega, forces = 2 * np.pi * frequency, self.model.functionals
         chosen = forces if ports is None else forces[:, ports]
-        return self._solved(self.model.operator.data(omega), self.model.operator.at(omega), chosen.astype(complex))
+        operator = self.model.operator
+        return self._solved(lambda: operator.data(omega), operator.at(omega), chosen.astype(complex))
 
     def about_rate(self, weights: FloatArray, forces: FloatArray) -> Solution:
         """Real solutions (n, b) for ``forces`` (n, b) where the terms have real ``weights``; the factor stays."""
         operator = self.model.operator
-        return self._solved(operator.combine(weights.tolist()), WeightedSum(operator.matrices, weights), forces)
+        matrix = WeightedSum(operator.matrices, weights)
+        return self._solved(lambda: operator.combine(weights.tolist()), matrix, forces)
 
     def taylor(self, frequency: float, start: ComplexArray, orders: IntArray) -> list[ComplexArray]:
         """Taylor coefficients in omega of the solutions about ``frequency``; column i to order ``orders[i]``.
@@ -73,8 +75,11 @@ class DirectSolver:
             series[-1] = series[-1] + self.factor.solve(pending)
         return series
 
-    def _solved(self, data: ComplexArray | FloatArray, matrix: WeightedSum, right: NDArray[Any]) -> Solution:
-        self.factor.factorise(data)
+    def _solved(
+        self, values: Callable[[], ComplexArray | FloatArray], matrix: WeightedSum, right: NDArray[Any]
+    ) -> Solution:
+        """Solutions with a matrix whose upper triangle has these ``values``."""
+        self.factor.factorise(values())
         while self.safe:
             try:
                 solution = refined_solve(self.factor, matrix, right, tolerance=self.tolerance)
@@ -82,7 +87,7 @@ class DirectSolver:
                     return solution
             except SolverError as problem:
                 _log.info("%s", problem)
-            if not self.factor.harden(data):
+            if not self.factor.harden(values()):
                 break
             how = "single precision with matching" if self.factor.single else "double precision"
             how = "the largest pivots" if self.factor.name == "superlu" else how

@@ -144,14 +144,15 @@ def _add_combination(block: Columns, factors: FloatArray, total: FloatArray) -> 
 
 def _rough_inner(block: Columns, columns: NDArray[np.float32]) -> NDArray[np.float32]:
     """block^T columns, in single precision but for the sum over pieces of rows."""
-    if (kernels := _kernels_for(block, columns)) is None:
-        return np.asarray(block.T @ columns)
-    count, width, wide = block.shape[1], columns.shape[1], columns.strides[0]
+    kernels, count, width, wide = _kernels_for(block, columns), block.shape[1], columns.shape[1], columns.strides[0]
 
     def work(pieces: Sequence[slice]) -> FloatArray:
         """One thread's pieces; the kernel subtracts."""
         total = np.zeros((count, width))
         for rows in pieces:
+            if kernels is None:
+                total += block[rows].T @ columns[rows]
+                continue
             part, some, own = np.zeros((count, width), np.float32), block[rows], columns[rows]
             at = some.ctypes.data, some.strides[0], own.ctypes.data, part.ctypes.data
             kernels.subtract_real_product(count, len(some), *at, wide, wide)
@@ -163,15 +164,15 @@ def _rough_inner(block: Columns, columns: NDArray[np.float32]) -> NDArray[np.flo
 
 def _subtract_rough(block: Columns, known: NDArray[np.float32], columns: NDArray[np.float32]) -> None:
     """``columns`` less block known, in single precision."""
-    if (kernels := _kernels_for(block, columns)) is None:
-        columns -= block @ known
-        return
-    factors, wide = np.ascontiguousarray(known), columns.strides[0]
+    kernels, factors, wide = _kernels_for(block, columns), np.ascontiguousarray(known), columns.strides[0]
 
     def work(pieces: Sequence[slice]) -> None:
         """One thread's pieces."""
         for rows in pieces:
             some, own = block[rows], columns[rows]
+            if kernels is None:
+                own -= some @ factors
+                continue
             at = some.ctypes.data, some.strides[0], factors.ctypes.data, own.ctypes.data
             kernels.subtract_real_transposed(block.shape[1], len(some), *at, wide, wide)
 

@@ -19,7 +19,7 @@ from .basis import rough_extension
 _SHEAR, _OTHER = ((3.0, 1.0), (1 / 3, 1.0), (1.0, 0.25)), ((1.5, 1.5),)
 _PLACES = (0.15, 0.55)  # parts of the band
 _KEPT = 0.5  # of the residuals, the strongest: the others cost as much and tell little
-_AT_ONCE = 32  # columns that are worked with together
+_AT_ONCE = 16  # columns that are worked with together
 _DROP = 3e-2  # of a direction's length: weaker ones are known
 
 

@@ -27,7 +27,7 @@ from .fronts import (
     scratch_entries,
 )
 from .panels import subtract_panel, subtract_panel_transposed
-from .symbolic import Entries, Fronts, Symbolic, symbolic_factor
+from .symbolic import Entries, Fronts, Symbolic, lower_entries, symbolic_factor
 
 # Forward and backward substitution with the factors of :mod:`.fronts`, for many right-hand sides at once.
 # Right-hand sides are (n, count) by rows, with zeros up to a multiple of eight: a supernode's own are next to each
@@ -223,7 +223,7 @@ class MultifrontalFactor:
         store = self._store
         stack, parts = np.empty(self._parts.stack, number), (*self._parts.subtrees, self._parts.top)
         rooms = [_scratch(self.symbolic, part, number) for part in parts]
-        fronts, entries, remainder = self.symbolic.fronts, self.symbolic.entries, self._parts.remainder
+        fronts, entries, remainder = self.symbolic.fronts, self._entries(), self._parts.remainder
 
         def work(part: ThreadPart) -> int:
             """Factorise a part's fronts; how many blocks of pivots were singular."""
@@ -283,7 +283,7 @@ class MultifrontalFactor:
         self._by_rows(lambda a, b: take_in(columns, self.symbolic.order, scale, x, a, b))
         stack = np.empty(self._parts.stack, number)
         rooms = [(_scratch(self.symbolic, p, number), self._local(p, x.shape[1], x.dtype)) for p in parts]
-        fronts, entries, owner = self.symbolic.fronts, self.symbolic.entries, self._parts.owner
+        fronts, entries, owner = self.symbolic.fronts, self._entries(), self._parts.owner
 
         def work(part: ThreadPart, others: NDArray[Any]) -> int:
             """Eliminate a part and its right-hand sides; how many blocks of pivots were singular."""
@@ -314,6 +314,10 @@ class MultifrontalFactor:
     def entries(self) -> int:
         """Entries of the factors as they are stored, a supernode's own square included."""
         return int(self.symbolic.panel_entries.sum())
+
+    def _entries(self) -> Entries:
+        """A's entries in the order of elimination: found in less than a second, and as large as its values."""
+        return lower_entries(self._indptr, self._indices, np.argsort(self.symbolic.order))
 
     def _by_rows(self, work: Callable[[int, int], None]) -> None:
         """``work`` on ranges of rows, one for each thread where there are enough."""

@@ -180,11 +180,10 @@ class Fronts(NamedTuple):
 
 @dataclass(frozen=True)
 class Symbolic:
-    """``order`` (n,): unknowns in the order of their elimination; A's ``entries`` and the ``fronts`` in that order;
-    ``parent`` (n_supernode,), -1 at roots."""
+    """``order`` (n,): unknowns in the order of their elimination; the ``fronts`` in that order; ``parent``
+    (n_supernode,), -1 at roots."""
 
     order: IntArray
-    entries: Entries
     fronts: Fronts
     parent: IntArray
 
@@ -229,7 +228,7 @@ def symbolic_factor(upper: csr_array, order: IntArray) -> Symbolic:
     below = np.concatenate([[0], np.cumsum(size[kept] - np.diff(first))])
     rows, above = rows_below(first, below, entries)
     rows = rows[np.lexsort((rows, np.repeat(np.arange(len(above)), np.diff(below))))]
-    return Symbolic(order, entries, Fronts(first, below, rows, *children(above)), above)
+    return Symbolic(order, Fronts(first, below, rows, *children(above)), above)
 
 
 def _fundamental(parent: IntArray, count: IntArray) -> tuple[IntArray, IntArray]:
