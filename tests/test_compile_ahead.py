@@ -207,6 +207,22 @@ def test_what_is_compiled_is_kept_for_the_next_process_and_by_signature(tmp_path
     assert sum(third.stats.cache_hits.values()) == 0
 
 
+def test_what_kernels_call_is_kept_within_them(tmp_path, monkeypatch):
+    """One file for both, which the next process runs without compiling the inner one."""
+    monkeypatch.setattr(jit, "kernels_folder", lambda: tmp_path)
+    one_more = jit.inner_kernel(lambda x: x + 1)
+
+    def twice_one_more(x):
+        return 2 * one_more(x)
+
+    assert jit.kernel(twice_one_more)(3) == 8
+    assert len(list(tmp_path.iterdir())) == 1
+    one_more = jit.inner_kernel(lambda x: 1 // 0)  # is not asked for
+    again = jit.kernel(twice_one_more)
+    assert again(3) == 8
+    assert sum(again.stats.cache_hits.values()) == 1
+
+
 def test_without_a_home_kernels_lie_in_a_private_folder_or_nowhere(tmp_path, monkeypatch):
     (tmp_path / "file").touch()  # root writes everywhere but below a file
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
