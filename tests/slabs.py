@@ -185,7 +185,7 @@ def effectivities(slabs: Sequence[Slab]) -> Iterator[Effectivity]:
             fine = slab_response(model, band.tolist())[:, 1:]
             coarse = slab_response(slab_model(scenario, mesh=second.mesh), band.tolist())[:, 1:]
             order = order_of(scenario)
-            rule = estimated_errors(coarse[:, :, None], fine[:, :, None], band, second.ratio, *order)
+            rule = estimated_errors(coarse[:, :, None], fine[:, :, None], band, second.ratio, order)
             true, middle = (
                 band_error(fine[:, :, None], truth[:, :, None]),
                 float(np.abs(fine[1] - truth[1]).max() / np.abs(truth[1]).max()),

@@ -19,7 +19,7 @@ from forearm_fem.engines.simulation import render, simulate, with_device
 from forearm_fem.errors import GeometryError, MeshError, SolverError
 from forearm_fem.fem.assembly.coefficients import term_coefficient
 from forearm_fem.geometry.build import build_mesh, cached_mesh, mesh_key
-from forearm_fem.geometry.device.sizing import element_sizes
+from forearm_fem.geometry.device.sizing import element_sizes, size_growth
 from forearm_fem.geometry.mesh.quality import mean_ratio
 from forearm_fem.questions.run import Run, run_all
 from forearm_fem.results.run import SolutionRecord
@@ -141,6 +141,9 @@ def test_all_sizes_follow_the_scale(element, contact, radius):
         own, other = (element_sizes(scenario, scale=k) for k in (1.0, scale))
         for name in ("contact", "grid", "far", "rim", "facet", "wall"):
             assert getattr(other, name) == pytest.approx(scale * getattr(own, name)), name
+        for limb in ({"shape": "slab"}, {"shape": "forearm"}):  # elements that grow alike err alike on both meshes
+            there = scenario.changed({"limb": limb})
+            assert size_growth(there, scale=scale) == pytest.approx(scale * size_growth(there))
     if contact != "pressure":
         own, other = (element_sizes(scenario, scale=k) for k in (1.0, 2.0))
         assert all(b < a for a, b in zip(own.sublayers, other.sublayers, strict=True))

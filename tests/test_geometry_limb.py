@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from forearm_fem.accuracy.discretisation import COARSER
 from forearm_fem.errors import GeometryError
 from forearm_fem.fem.assembly.boundary import covered_area, resting_nodes, rests
 from forearm_fem.fem.space.numbering import mixed_space
@@ -115,7 +116,7 @@ def test_end_facets_are_plane_and_underside_faces_down(mesh, scenario):
     assert (normal[:, 2] < -0.5 * np.linalg.norm(normal, axis=1)).all()
 
 
-@pytest.mark.parametrize("scale", [1.0, 2.0])
+@pytest.mark.parametrize("scale", [1.0, COARSER])
 def test_what_rests_is_a_third_of_the_way_round(scale):
     """n_z < -1/2 is a third of a round arm whatever its facets, here as long as its radius: whole ones have a sixth of
     that too much. Parabolas in place of arcs turn the normal by less than 2 degrees of 120.

@@ -7,12 +7,9 @@ import pytest
 
 from forearm_fem.accuracy.discretisation import (
     COARSER,
-    FAR_OFF,
-    GROWS,
     LOST,
     SECOND_ORDER,
     THIRD_ORDER,
-    THIRD_ROUGH,
     discretisation_of,
     estimated_errors,
     order_of,
@@ -32,25 +29,21 @@ def test_any_ratio_recovers_an_error_of_the_assumed_order(ratio):
         assert remaining_error(change, ratio, order) == pytest.approx(0.001)
 
 
-def test_of_a_mesh_that_is_far_off_less_is_stated():
-    """Three times the change at which this begins: 3^0.6 = 1.9 times the error. Lost meshes state a fixed share."""
-    half, begins, more = remaining_error(FAR_OFF * np.array([0.5, 1.0, 3.0]), far_off=FAR_OFF)
-    assert [half, more] == pytest.approx([begins / 2, 3**GROWS * begins])
-    lost, twice = remaining_error(LOST * np.array([1.0, 2.0]), far_off=FAR_OFF)
-    assert twice == pytest.approx(2 * lost)
+def test_of_a_change_of_a_mesh_that_carries_no_waves_less_is_left():
+    """Its G is another one, whose difference tells nothing of the first mesh's order: four times the change, twice the
+    error. e_band is not e(f)'s: a lost frequency of little energy leaves the others' error as it is."""
+    begins, more = remaining_error(LOST * np.array([1.0, 4.0]))
+    assert more == pytest.approx(2 * begins)
+    own = np.array([1.0, 0.1]).reshape(2, 1, 1) * np.ones((2, 2, 2), dtype=complex)
+    other = own * np.array([1.1, 1 + 4 * LOST]).reshape(2, 1, 1)
+    found = estimated_errors(other, own, np.array([100.0, 400.0]))
+    assert found.error == pytest.approx(begins * np.array([0.1 / LOST, 2.0]))
+    assert found.band == pytest.approx(np.hypot(found.error[0], 0.1 * found.error[1]) / np.hypot(1.0, 0.1))
 
 
-@pytest.mark.parametrize(
-    ("element", "near", "order"),
-    [("P2", 0.02, SECOND_ORDER), ("P2/P3", 0.02, THIRD_ORDER), ("P3", 0.006, THIRD_ROUGH)],
-)
-def test_the_order_is_that_of_the_elements_and_less_beside_rims(element, near, order):
-    device = {"contacts": [[0.0, 0.0]], "cone": {"contact": "bonded", "radius": 0.0035}}
-    asked = {"device": device, "grid": {"points": [[0.0, 0.03], [near, 0.0]]}, "mesh": {"element": element}}
-    begins = FAR_OFF if element != "P2" else np.inf  # .54 of its error would one such slab in four state, not .87
-    assert order_of(parse_scenario({**asked, "limb": {"shape": "slab"}})) == (order, begins)
-    # a forearm's layers are one element thick
-    assert order_of(parse_scenario(asked)) == (min(order, THIRD_ROUGH), np.inf)
+@pytest.mark.parametrize(("element", "order"), [("P2", SECOND_ORDER), ("P2/P3", THIRD_ORDER), ("P3", THIRD_ORDER)])
+def test_the_order_is_that_of_the_elements_around_the_ports(element, order):
+    assert order_of(parse_scenario({"mesh": {"element": element}})) == order
 
 
 @pytest.fixture

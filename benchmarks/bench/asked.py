@@ -54,7 +54,7 @@ def asked(accuracy: float) -> Asked:
     coarse = _swept(slab_model(scenario, scale=COARSER), None)
     more = process_time() - start - spent
     truth, stage = exact_solution(BAND), ledger.stages["all"]
-    stated = estimated_errors(coarse, values, BAND, COARSER, *order_of(scenario)).band
+    stated = estimated_errors(coarse, values, BAND, COARSER, order_of(scenario)).band
     return Asked(
         accuracy, element_sizes(scenario).grid, model.operator.n, stage.seconds, spent, more,
         stage.peak_memory_bytes, stated, band_error(values, truth),

@@ -29,7 +29,7 @@ class ArmMeshes:
 
     second: ParametricModel
     ratio: float
-    order: tuple[float, float]
+    order: float
 
     def error(self, arm: Scenario, found: Compliance) -> ErrorEstimate:
         """:meth:`missed` without its shape."""
@@ -77,7 +77,7 @@ class ArmMeshes:
 
     def _error(self, frequency: FloatArray, other: ComplexArray, own: ComplexArray) -> DiscretisationError:
         """Of what points do under contacts (n_frequency, n_point, n_contact), by the rule of a scene's own."""
-        return estimated_errors(other, own, frequency, self.ratio, *self.order)
+        return estimated_errors(other, own, frequency, self.ratio, self.order)
 
 
 def arm_meshes(

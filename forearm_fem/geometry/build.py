@@ -238,8 +238,8 @@ def mesh_key(scenario: Scenario, *, base: Path = Path("."), scale: float = 1.0) 
         "radius": layout.radius,
         "rigid": scenario.device.cone.contact in RIGID or ["pressure", scale],
         "points": layout.points.tolist(),
-        "grading": size_growth(scenario, scale=scale),
         # to a micrometre: rounding of the last bit must not miss a mesh
+        "grading": round(size_growth(scenario, scale=scale), 6),
         "sizes": {k: round(v, 6) if isinstance(v, float) else v for k, v in asdict(sizes).items()},
         "bone": scenario.supports.bone,
     }

@@ -175,12 +175,11 @@ def element_sizes(scenario: Scenario, *, scale: float = 1.0) -> Sizes:
 
 
 def size_growth(scenario: Scenario, *, scale: float = 1.0) -> float:
-    """Growth of sizes per metre away from ports [m/m]; on slabs under rigid cones it follows ``scale`` as sizes do.
+    """Growth of sizes per metre away from ports [m/m]; it follows ``scale`` as sizes do.
 
     Elements that grow alike away from a small contact are as large on both meshes, and their error shows in no change.
-    Meshes of other limbs and contacts keep the growth that the estimate was judged with.
     """
-    return scenario.mesh.grading * (scale if _cone_on_slab(scenario) else 1.0)
+    return scenario.mesh.grading * scale
 
 
 def _cone_on_slab(scenario: Scenario) -> bool:
