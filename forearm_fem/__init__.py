@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.38.0"
+__version__ = "0.39.0"
 
 if TYPE_CHECKING:
     from .api import calibrate as calibrate

@@ -56,9 +56,9 @@ def test_sharp_resonances_are_stated_by_a_bound_that_holds(sweep, truth):
 
 
 def test_bounds_hold_at_every_bin_of_a_model_that_lacks_modes(model, sweep, truth, bound):
-    """Each of the three modes nearest to the middle left out in turn: 1 to 13 times the error at the worst bin.
+    """Each of the three modes nearest to the middle left out in turn: 1 to 12.2 times the error at the worst bin.
 
-    1e-6: below, the model with all modes is wrong by as much.
+    1e-6: below, the model with all modes is wrong by as much. 16: a third more than was seen.
     """
     reduced = sweep.reduced
     weights = bound._weights(reduced)
@@ -72,7 +72,7 @@ def test_bounds_hold_at_every_bin_of_a_model_that_lacks_modes(model, sweep, trut
         stated = bound.errors(poorer, BAND, None)
         assert (stated >= error)[error > 1e-6].all()
         worst = int(np.argmax(error))
-        assert 1.0 <= stated[worst] / error[worst] < 13.0
+        assert 1.0 <= stated[worst] / error[worst] < 16.0
         assert stated.max() > 1e-4  # so that such a model does not pass
 
 
