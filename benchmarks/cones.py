@@ -1,4 +1,5 @@
-"""Rigid cones on slabs: what finite elements state and what they err by, against the layered model's rigid discs.
+"""Rigid cones on slabs: what a second mesh, as limbs have it, states of finite elements, and what these err by, against
+the layered model's rigid discs.
 
 Run from the repository: python3 benchmarks/cones.py [folder] [--keep FOLDER] [--accuracy 0.3 0.1] [--diameter 2 7]
 
@@ -21,16 +22,16 @@ from typing import Any
 
 import numpy as np
 
-from forearm_fem.accuracy.estimates import relative_error_at
+from forearm_fem.accuracy.discretisation import discretisation_of
 from forearm_fem.device import close_loop
-from forearm_fem.engines.fem import Solved, solve
+from forearm_fem.engines.fem import Solved, second_compliance, second_mesh, solve
 from forearm_fem.engines.layered import solve_layered
 from forearm_fem.engines.simulation import with_device
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.sweep import frequencies
-from forearm_fem.transfer import Compliance, TransferMatrix, band_error, relative_error, total_error
+from forearm_fem.transfer import Compliance, band_error, relative_error
 
 STACKS: Mapping[str, tuple[tuple[str, float], ...]] = {
     "thin": (("skin", 1.2e-3), ("fat", 3e-3)),
@@ -90,11 +91,11 @@ def scene(
 
 @dataclass(frozen=True)
 class Kept:
-    """What a scene cost its time for: compliances on both meshes and with other ends, the layered model's, and
-    seconds."""
+    """What a scene cost its time for: compliances on both meshes, the layered model's, and seconds."""
 
     digest: str
     solved: Solved
+    coarse: Compliance
     exact: Compliance
     seconds: float
 
@@ -107,8 +108,9 @@ def solution(scenario: Scenario, first: TissueMesh, file: Path | None) -> Kept:
     start, frequency = time.perf_counter(), frequencies(scenario.sweep)
     solved = solve(scenario, first, frequency, base=Path("."))
     light = replace(solved, modes=solved.modes[:0], states=solved.states[:0], skin=None)
-    exact = solve_layered(scenario, frequency)
-    kept = Kept(first.digest, light, exact, round(time.perf_counter() - start, 1))
+    coarse = second_compliance(second_mesh(scenario, first, base=Path(".")), frequency)
+    exact = solved.exact or solve_layered(scenario, frequency)
+    kept = Kept(first.digest, light, coarse, exact, round(time.perf_counter() - start, 1))
     if file:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(pickle.dumps(kept))
@@ -126,19 +128,15 @@ def lines(stack: str, diameter: float, contact: str, accuracy: float, keep: Path
     for drive in DRIVES:
         own = scenario.model_copy(update={"device": scenario.device.model_copy(update={"drive": drive})})
         found, truth = with_device(own, first, solved).transfer, close_loop(exact, own.device)
-        error, single = relative_error(found.values, truth.values), stated(found)
+        stated = discretisation_of(found, close_loop(kept.coarse, own.device), own)
+        error, single = relative_error(found.values, truth.values), np.array(stated.per_frequency)
         yield Line(
             stack, diameter, contact, accuracy, drive, scenario.element,
             facts.displacement_unknowns + facts.pressure_unknowns,
-            float(solved.coarse.provenance["ratio"]) if solved.coarse else np.nan,
-            band_error(found.values, truth.values), total_error(found.errors), float(error.max()),
+            float(kept.coarse.provenance["ratio"]), band_error(found.values, truth.values), stated.band,
+            float(error.max()),
             float(np.mean(single < error / 2)), float(np.min(single / error)), float(under.max()), kept.seconds,
         )  # fmt: skip
-
-
-def stated(transfer: TransferMatrix) -> np.ndarray:
-    """e(f) of all sources together (n_frequency,)."""
-    return np.sqrt(sum(relative_error_at(e, transfer.frequency) ** 2 for e in transfer.errors))
 
 
 def read(file: Path) -> list[Line]:

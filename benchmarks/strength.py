@@ -1,7 +1,7 @@
-"""S with its interval against the layered model over flat slabs, and a limb against a finer mesh of it:
-benchmarks/results/strength.csv.
+"""S with its interval against the layered model over flat slabs, and a limb against a finer mesh of it.
 
-Run from the repository: python3 benchmarks/strength.py FOLDER [SCENE ...]; G of each scene is kept in FOLDER.
+Run from the repository: python3 benchmarks/strength.py FOLDER [SCENE ...]; the table is FOLDER/strength.csv, and G of
+each scene is kept beside it.
 """
 
 from __future__ import annotations
@@ -134,6 +134,6 @@ if __name__ == "__main__":
         if some:
             flat = (np.concatenate([part[i].ravel() for i in some]) for part in parts)
             rows = (*rows, [said, "", "", "", *judgement(*flat)])
-    with (Path(__file__).parent / "results" / "strength.csv").open("w", newline="") as stream:
+    with (place / "strength.csv").open("w", newline="") as stream:
         table = csv.writer(stream)
         table.writerows([HEADER, *([f"{x:.4g}" if not isinstance(x, str) else x for x in r] for r in rows)])
