@@ -36,7 +36,7 @@ from forearm_fem.store.folder import default_cache_dir
 from forearm_fem.transfer import band_error
 
 HERE = Path(__file__).parent
-_TICKS = 0.005, 0.01, 0.02, 0.05, 0.1
+_TICKS = 0.005, 0.01, 0.02, 0.05, 0.1, 0.2
 _PAUSE = 0.2  # s between two looks at the memory
 _SLAB = """name = "slab"
 [limb]
@@ -167,7 +167,7 @@ def drawn(rows: list[dict[str, Any]]) -> Figure:
     for line, label in zip(axes, ("whole run, wall [s]", "peak memory [GB]"), strict=True):
         line[0].set(ylabel=label, ylim=(0, None))
     for ax, error in zip(axes[1], ("stated", "true"), strict=True):
-        ax.set(xlabel=f"{error} e_band of G", xscale="log", xlim=(0.004, 0.11))
+        ax.set(xlabel=f"{error} e_band of G", xscale="log", xlim=(0.003, 0.25))
         ax.set_xticks(_TICKS, labels=[f"{tick:g}" for tick in _TICKS])
         ax.set_xticks([], minor=True)
     for ax in axes.flat:
