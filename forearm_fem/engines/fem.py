@@ -257,11 +257,13 @@ class Solved:
 
     ``exact`` is the layered model's of a slab, ``coarse`` on the second mesh of other limbs (None where no estimate
     was asked or could be made). ``freed`` has free ends on the same mesh, ``other_ends`` other ends on the second one
-    at a few frequencies (None where not asked). ``unknown``
-    are the estimates that were not asked for or could not be made. ``modes`` (n_point, 3, r) and ``states``
-    (n_frequency, r, n_contact) rebuild the wavefield at the mesh vertices per unit contact force; empty for a direct
-    sweep. ``facts`` are for the record; ``skin`` is the reduced model without its modes. ``mesh`` is the one solved on,
-    ``resolution`` how finely it carries the shortest waves, and ``notes`` are sentences about that.
+    at a few frequencies (None where not asked). ``unknown`` are the estimates that were not asked for or could not be
+    made.
+
+    ``modes`` (n_point, 3, r) and ``states`` (n_frequency, r, n_contact) rebuild the wavefield at the mesh vertices per
+    unit contact force; empty for a direct sweep. ``facts`` are for the record. ``skin`` is the reduced model without
+    its modes. ``mesh`` is the one solved on, ``resolution`` how finely it carries the shortest waves. ``notes`` are
+    sentences about that.
     """
 
     kind: ClassVar[str] = "solution"
