@@ -17,7 +17,6 @@ from ..assembly.operator import WeightedSum
 from ..kernels.compiled import one_blas_thread
 from ..linear.direct import DirectSolver, watched
 from .affine import AffineReduced, Modes
-from .basis import Basis
 
 # A bound of the reduced model's error at every bin, from residuals: no sharp resonance hides between what is compared.
 # With r_j = f_j - A V q_j the error is C_ij - f_i . V q_j = r_i . A^-1 r_j, as A is symmetric and V . r_j = 0. Let P be
@@ -192,13 +191,17 @@ def _found_in(
     reduced: AffineReduced, frequency: float, stiffness: WeightedSum, rest: FloatArray, directions: FloatArray
 ) -> ComplexArray:
     """r_i . z_j (n_port, n_port); z_j solves for r_j, the ``rest``, in the space and the ``directions`` (n, k)."""
-    basis, new, lengths = reduced.basis, Basis((directions,)), np.linalg.norm(directions, axis=0)
+    basis, lengths = reduced.basis, np.linalg.norm(directions, axis=0)
     coupled, own = np.zeros((reduced.size, len(lengths)), complex), np.zeros((len(lengths),) * 2, complex)
     weights = np.array([stiffness.weights.real, stiffness.weights.imag])
     for part, turn in zip(weights, (1, 1j), strict=True):  # complex columns would take more room
         moved = stiffness.matrices.real_sum(part[None], (directions,))
-        coupled, own = coupled + turn * basis.inner(moved), own + turn * new.inner(moved)
-    right = np.vstack([_complex(basis.inner(rest)), _complex(new.inner(rest))])
+        coupled = coupled + turn * basis.inner(moved)
+        with one_blas_thread():
+            own = own + turn * (directions.T @ moved)
+    with one_blas_thread():
+        by_own = _complex(directions.T @ rest)
+    right = np.vstack([_complex(basis.inner(rest)), by_own])
     kept = np.concatenate([np.ones(reduced.size, bool), lengths > 0])
     unit = np.concatenate([np.ones(reduced.size), lengths])[kept]
     matrix = np.block([[reduced.combined(reduced.theta(frequency)), coupled], [coupled.T, own]])[np.ix_(kept, kept)]
