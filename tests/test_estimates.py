@@ -22,6 +22,7 @@ from forearm_fem.geometry.build import build_mesh, cached_mesh, mesh_key
 from forearm_fem.geometry.device.sizing import element_sizes, size_growth
 from forearm_fem.geometry.mesh.quality import mean_ratio
 from forearm_fem.questions.run import Run, run_all
+from forearm_fem.rendering.interval import as_drawn
 from forearm_fem.results.run import SolutionRecord
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.limb import FreeUnderside, Membrane
@@ -270,7 +271,9 @@ def test_ends_have_what_freeing_them_can_make_and_the_mesh_the_rest(nine):
 
 def test_a_draw_of_a_known_error_is_the_layered_models_g(nine):
     own, exact = (each.transfer for each in nine)
-    drawn = perturbed(own, own.errors[:2], np.random.default_rng(0), 50.0)
+    sources = [as_drawn(e, own.frequency) for e in own.errors[:2]]  # not raised, as what two meshes state is
+    assert sources == list(own.errors[:2])
+    drawn = perturbed(own, sources, np.random.default_rng(0), 50.0)
     assert drawn.values == pytest.approx(exact.values, rel=0, abs=1e-6 * np.abs(exact.values).max())  # kept in single
 
 
